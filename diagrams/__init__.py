@@ -1,0 +1,1 @@
+"""Experiments: diagrams built from the library, and the command line."""

@@ -1,0 +1,250 @@
+"""The closed loop: planner, tracker, plant, disturbance and monitor, wired.
+
+    plan = planner(scenario)          once, when the simulation starts
+    control, reference = tracker(state, plan)
+    state = plant(control, disturbance)
+
+This is the one place where the wiring is written.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from pydrake.common import RandomGenerator
+from pydrake.geometry import Meshcat
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
+from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.primitives import LogVectorOutput
+
+from diagrams.live_view import LiveView
+from dtmpc_drake.models import Array
+from dtmpc_drake.plan import Plan
+from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.systems import (
+    DtmpcPlanner,
+    MakeDisturbance,
+    Plant,
+    SlidingModeTracker,
+    TubeMonitor,
+)
+
+LOG_PERIOD = 0.01  # s
+
+_LOGGED = (
+    "state",
+    "control",
+    "reference",
+    "disturbance",
+    "tube_ratios",
+    "clearance",
+)
+
+
+def MakeClosedLoop(
+    scenario: Scenario, *, plan: Plan | None = None, meshcat: Meshcat | None = None
+) -> Diagram:
+    """The diagram of a scenario.
+
+    Args:
+        scenario: the whole experiment; the diagram's default Context is its
+            start (apart from randomness, which `SetRandomContext` seeds).
+        plan: to fly instead of planning at the start.
+        meshcat: to watch the simulation in, if given.
+
+    Returns:
+        A diagram named ``closed_loop`` that exports the output ports `state`,
+        `control`, `reference`, `plan`, `status`, `disturbance`, `tube_ratios`
+        and `clearance`; see the systems for their meaning.
+    """
+    model = scenario.model
+    builder = DiagramBuilder()
+    plant = builder.AddNamedSystem(
+        "plant",
+        Plant(
+            model=model,
+            parameters=scenario.plant_parameters(),
+            initial_state=scenario.start_state() + scenario.initial_error_state(),
+        ),
+    )
+    planner = builder.AddNamedSystem(
+        "planner", DtmpcPlanner(scenario=scenario, plan=plan)
+    )
+    tracker = builder.AddNamedSystem("tracker", SlidingModeTracker(scenario=scenario))
+    disturbance = builder.AddNamedSystem(
+        "disturbance",
+        MakeDisturbance(
+            scenario.disturbance, slope=scenario.slope(), order=model.order
+        ),
+    )
+    outputs = {
+        "state": plant.GetOutputPort("state"),
+        "control": tracker.GetOutputPort("control"),
+        "reference": tracker.GetOutputPort("reference"),
+        "plan": planner.GetOutputPort("plan"),
+        "status": planner.GetOutputPort("status"),
+        "disturbance": disturbance.GetOutputPort("disturbance"),
+    }
+    monitor = TubeMonitor.AddToBuilder(
+        builder=builder,
+        scenario=scenario,
+        state=outputs["state"],
+        plan=outputs["plan"],
+    )
+    for name in ("tube_ratios", "clearance"):
+        outputs[name] = monitor.GetOutputPort(name)
+
+    builder.Connect(outputs["state"], planner.GetInputPort("state"))
+    builder.Connect(outputs["state"], tracker.GetInputPort("state"))
+    builder.Connect(outputs["plan"], tracker.GetInputPort("plan"))
+    builder.Connect(outputs["control"], plant.GetInputPort("control"))
+    builder.Connect(outputs["disturbance"], plant.GetInputPort("disturbance"))
+    for name in ("state", "reference"):  # only the worst case looks at them
+        if disturbance.HasInputPort(name):
+            builder.Connect(outputs[name], disturbance.GetInputPort(name))
+    if meshcat is not None:
+        view = LiveView(scenario=scenario, meshcat=meshcat)
+        builder.AddNamedSystem("live_view", view)
+        for name in ("state", "plan"):
+            builder.Connect(outputs[name], view.GetInputPort(name))
+    for name, port in outputs.items():
+        builder.ExportOutput(port, name)
+    diagram = builder.Build()
+    diagram.set_name("closed_loop")
+    return diagram
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Log:
+    """What the exported ports said, every `LOG_PERIOD` and at the end.
+
+    Attributes:
+        time: ``(K,)``, in s.
+        state: x of the plant, ``(K, n, m)``.
+        control: u, ``(K, m)``.
+        reference: y* and its derivatives, ``(K, n + 1, m)``.
+        disturbance: d, ``(K, m)``.
+        tube_ratios: |s|/Φ, |ỹ|/Ω and |dỹ/dt|/W, ``(K, 3, m)``.
+        clearance: to each obstacle, ``(K, obstacles)`` in m; one column of
+            infinities without obstacles.
+        status: of the planner at the end.
+    """
+
+    time: Array
+    state: Array
+    control: Array
+    reference: Array
+    disturbance: Array
+    tube_ratios: Array
+    clearance: Array
+    status: str
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    @property
+    def position(self) -> Array:
+        """Where the plant was, ``(K, m)``."""
+        return np.asarray(self.state[:, 0])
+
+    def extremes(self) -> dict[str, float]:
+        """The worst that was seen, by name.
+
+        The speed is the largest along any axis, as in the scenario's limit; it
+        is taken from differences of the position where it is no state (n = 1).
+        """
+        if self.state.shape[1] > 1:
+            speed = self.state[:, 1]
+        else:
+            speed = np.diff(self.position, axis=0) / np.diff(self.time)[:, None]
+        worst = self.tube_ratios.max(axis=(0, 2))
+        return {
+            "worst_layer_ratio": float(worst[0]),
+            "worst_position_ratio": float(worst[1]),
+            "worst_velocity_ratio": float(worst[2]),
+            "smallest_clearance": float(self.clearance.min()),
+            "largest_input": float(np.linalg.norm(self.control, axis=1).max()),
+            "largest_speed": float(np.abs(speed).max()),
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Writes all arrays as ``.npz``, under their names here."""
+        with open(path, "wb") as file:
+            np.savez_compressed(file, **dataclasses.asdict(self))
+
+    @classmethod
+    def load(cls, path: str | Path) -> Log:
+        """Reads what `save` wrote.
+
+        Raises:
+            FileNotFoundError: if there is no such file.
+            ValueError: if the file is not a saved log.
+        """
+        names = [field.name for field in dataclasses.fields(cls)]
+        with np.load(path) as data:
+            missing = [name for name in names if name not in data]
+            if missing:
+                raise ValueError(f"{path}: not a saved log (no {missing[0]!r})")
+            arrays = {name: data[name] for name in names}
+        return cls(**arrays | {"status": str(arrays["status"])})
+
+    def __repr__(self) -> str:
+        """Names what a reader wants to know first."""
+        seen = self.extremes()
+        return (
+            f"Log({len(self.time)} samples over {self.time[-1]:g} s, "
+            f"worst |s|/Φ {seen['worst_layer_ratio']:.3f}, "
+            f"|ỹ|/Ω {seen['worst_position_ratio']:.3f}, "
+            f"clearance {seen['smallest_clearance']:.3f} m, plan {self.status})"
+        )
+
+
+def Simulate(scenario: Scenario, *, plan: Plan | None = None) -> Log:
+    """Simulates a scenario to its end.
+
+    The seed of the scenario decides everything random, so the same scenario
+    gives the same log.
+
+    Args:
+        scenario: the whole experiment.
+        plan: to fly instead of planning at the start.
+
+    Returns:
+        The log.  If no certified plan was found, its status says why, and what
+        was flown is `hold_plan`.
+    """
+    builder = DiagramBuilder()
+    loop = builder.AddSystem(MakeClosedLoop(scenario, plan=plan))
+    sinks = {
+        name: LogVectorOutput(loop.GetOutputPort(name), builder, LOG_PERIOD)
+        for name in _LOGGED
+    }
+    diagram = builder.Build()
+    diagram.set_name("simulation")
+    context = diagram.CreateDefaultContext()
+    diagram.SetRandomContext(context, RandomGenerator(scenario.simulation.seed))
+    simulator = Simulator(diagram, context)
+    config = SimulatorConfig(
+        integration_scheme=scenario.simulation.integration_scheme,
+        max_step_size=scenario.simulation.max_step_size,
+    )
+    ApplySimulatorConfig(config, simulator)
+    simulator.Initialize()
+    simulator.AdvanceTo(scenario.duration)
+    logs = {name: sink.FindLog(context) for name, sink in sinks.items()}
+    if logs["state"].sample_times()[-1] < scenario.duration - LOG_PERIOD / 10:
+        diagram.ForcedPublish(context)  # the end is no multiple of the period
+
+    n, m = scenario.model.order, scenario.model.num_outputs
+    shapes = {"state": (n, m), "reference": (n + 1, m), "tube_ratios": (3, m)}
+    arrays = {}
+    for name, log in logs.items():
+        data = log.data().T.copy()
+        arrays[name] = data.reshape(len(data), *shapes.get(name, data.shape[1:]))
+    return Log(
+        time=logs["state"].sample_times().copy(),
+        status=loop.GetOutputPort("status").Eval(loop.GetMyContextFromRoot(context)),
+        **arrays,
+    )

@@ -1,0 +1,192 @@
+"""One experiment, from a scenario to files: plan, simulate, draw, write."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ClassVar
+
+from diagrams.closed_loop import Log, Simulate
+from dtmpc_drake.planning import Iteration, PlanningResult, plan
+from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.visualization import plot_histories, plot_plan, write_replay
+from dtmpc_drake.visualization.style import ColorBy
+
+OUTPUTS = (
+    "replay.html",
+    "figure.png",
+    "histories.png",
+    "plan.npz",
+    "log.npz",
+    "summary.json",
+)
+ATTEMPT = "attempt.png"
+"""The figure of a plan that is not certified."""
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Experiment:
+    """What an experiment ended with.
+
+    Attributes:
+        scenario: that was run.
+        result: of planning.
+        log: of the simulation; None if there was no certified plan to fly.
+        files: that were written.
+    """
+
+    scenario: Scenario
+    result: PlanningResult
+    log: Log | None
+    files: tuple[Path, ...]
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    def summary(self) -> dict[str, Any]:
+        """The contents of ``summary.json``; see `summarize`."""
+        return summarize(self.scenario, self.result, self.log)
+
+    def __repr__(self) -> str:
+        """A summary that a person can read."""
+        result = self.result
+        lines = [f"{self.scenario.name}: {result.status}, {result.message}"]
+        if result.certificate is not None:
+            lines += ["", "margins, for all times"]
+            lines += [f"  {line}" for line in str(result.certificate).splitlines()]
+        lines += [
+            "",
+            f"cost            {result.cost:.4f}",
+            f"planning time   {result.times['total']:.3f} s"
+            f" ({len(result.history)} iterations on {result.backend},"
+            f" certificate {result.times['certify']:.3f} s)",
+        ]
+        if self.log is None:
+            lines.append("simulation      none: there is no certified plan to fly")
+        else:
+            seen = self.log.extremes()
+            lines += [
+                "simulation      worst"
+                f" |s|/Φ {seen['worst_layer_ratio']:.3f},"
+                f" |ỹ|/Ω {seen['worst_position_ratio']:.3f},"
+                f" |dỹ/dt|/W {seen['worst_velocity_ratio']:.3f}",
+                " " * 16 + f"smallest clearance {seen['smallest_clearance']:.3f} m,"
+                f" largest input {seen['largest_input']:.3f},"
+                f" largest speed {seen['largest_speed']:.3f} m/s",
+            ]
+        lines += ["", *(str(path) for path in self.files)]
+        return "\n".join(lines)
+
+
+def run(
+    scenario: Scenario,
+    out: str | Path | None = None,
+    *,
+    report: Callable[[Iteration], None] | None = None,
+) -> Experiment:
+    """Plans, simulates if the plan is certified, and writes everything.
+
+    A certified plan gives all of `OUTPUTS`.  Any other gives ``summary.json``
+    and a figure of the attempt; outputs of an earlier run are removed, so that
+    a directory never mixes two.
+
+    Args:
+        scenario: the whole experiment.
+        out: directory; ``out/<name of the scenario>`` if left out.
+        report: is called with every iteration of the planner as it ends.
+
+    Raises:
+        ScenarioError: if the scenario makes no sense; nothing is written then.
+        OSError: if the directory cannot be written.
+    """
+    scenario.validate()
+    out = Path("out", scenario.name) if out is None else Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+    for name in (*OUTPUTS, ATTEMPT):
+        (out / name).unlink(missing_ok=True)
+    result = plan(scenario, report=report)
+    log = None
+    files = []
+    # With a fixed bandwidth its colour would say nothing.
+    fixed = scenario.controller.bandwidth.fixed is not None
+    color_by: ColorBy = "speed" if fixed else "bandwidth"
+    if result.certified and result.plan is not None:
+        log = Simulate(scenario, plan=result.plan)
+        files += [out / name for name in OUTPUTS]
+        write_replay(
+            scenario=scenario,
+            plan=result.plan,
+            time=log.time,
+            position=log.position,
+            path=files[0],
+            color_by=color_by,
+            status=result.status,
+        )
+        plot_plan(
+            scenario=scenario,
+            plan=result.plan,
+            position=log.position,
+            color_by=color_by,
+        ).savefig(files[1])
+        plot_histories(
+            scenario=scenario,
+            plan=result.plan,
+            time=log.time,
+            state=log.state,
+            control=log.control,
+        ).savefig(files[2])
+        result.plan.save(files[3])
+        log.save(files[4])
+    else:
+        if result.attempt is not None:
+            files.append(out / ATTEMPT)
+            plot_plan(
+                scenario=scenario, plan=result.attempt, color_by=color_by
+            ).savefig(files[-1])
+        files.append(out / OUTPUTS[-1])
+    summary = json.dumps(
+        summarize(scenario, result, log), indent=2, ensure_ascii=False, allow_nan=False
+    )
+    files[-1].write_text(summary + "\n", encoding="utf-8")
+    return Experiment(scenario, result, log, tuple(files))
+
+
+def summarize(
+    scenario: Scenario, result: PlanningResult, log: Log | None
+) -> dict[str, Any]:
+    """An experiment as plain numbers and texts; None where there is no number.
+
+    Times are in s; `plan_time_s` is one cold plan, certificate included.
+    """
+    certificate = result.certificate
+    margins = certificate.margins if certificate is not None else {}
+    summary = {
+        "scenario": scenario.name,
+        "status": result.status,
+        "certified": bool(result.certified),
+        "message": result.message,
+        "backend": result.backend,
+        "seed": scenario.simulation.seed,
+        "margins": {name: dataclasses.asdict(m) for name, m in margins.items()},
+        "cost": result.cost,
+        "iterations": len(result.history),
+        "plan_time_s": result.times["total"],
+        "times": result.times,
+        "extremes": log.extremes() if log is not None else None,
+    }
+    cleaned: dict[str, Any] = _finite(summary)
+    return cleaned
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no infinity and knows no NumPy."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (bool, str)) or value is None:
+        return value
+    if isinstance(value, int):
+        return value
+    number = float(value)
+    return number if math.isfinite(number) else None

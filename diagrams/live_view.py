@@ -1,0 +1,58 @@
+"""A running simulation in Meshcat, as it happens."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydrake.geometry import Meshcat
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import EventStatus, LeafSystem
+
+from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.systems.plan_port import DeclarePlanInputPort, EvalPlan
+from dtmpc_drake.visualization.geometry import embedding
+from dtmpc_drake.visualization.replay import ROOT, add_scene
+
+
+class LiveView(LeafSystem):
+    """Draws the scene when the simulation starts, then moves the vehicle.
+
+    .. pydrake_system::
+
+        name: LiveView
+        input_ports:
+        - state
+        - plan
+
+    Set the simulator's target realtime rate to one to watch it.
+    """
+
+    def __init__(
+        self, *, scenario: Scenario, meshcat: Meshcat, publish_period: float = 1 / 32
+    ) -> None:
+        """Constructs a view.
+
+        Args:
+            scenario: gives the obstacles.
+            meshcat: to draw into.
+            publish_period: between two pictures, in s.
+        """
+        LeafSystem.__init__(self)
+        self._scenario, self._meshcat = scenario, meshcat
+        n, m = scenario.model.order, scenario.model.num_outputs
+        self._embedding = embedding(m)
+        self._state = self.DeclareVectorInputPort("state", n * m)
+        self._plan = DeclarePlanInputPort(self)
+        self.DeclareInitializationPublishEvent(self._draw)
+        self.DeclarePeriodicPublishEvent(publish_period, 0.0, self._move)
+
+    def _draw(self, context: Any) -> EventStatus:
+        plan = EvalPlan(self._plan, context)
+        add_scene(self._meshcat, scenario=self._scenario, plan=plan)
+        return EventStatus.Succeeded()
+
+    def _move(self, context: Any) -> EventStatus:
+        position = self._state.Eval(context)[: self._embedding.shape[1]]
+        where = RigidTransform(self._embedding @ position)
+        self._meshcat.SetTransform(f"{ROOT}/vehicle", where)
+        return EventStatus.Succeeded()

@@ -1,0 +1,16 @@
+"""The paper's experiment with unknown drag: slow is safe, so it slows down.
+
+Run it with ``python -m diagrams.state_dependent_uncertainty``.
+"""
+
+from diagrams.experiment import Experiment, run
+from dtmpc_drake.scenario import load_scenario
+
+
+def main() -> Experiment:
+    """Runs the experiment; files go to ``out/state_dependent_uncertainty``."""
+    return run(load_scenario("state_dependent_uncertainty"))
+
+
+if __name__ == "__main__":
+    print(main())

@@ -1,0 +1,151 @@
+"""Obstacles ``‖H r - p_c‖ < r_o`` and the distances to them.
+
+Each class is one shape of the scenario file.  `ObstacleSet` stacks any mix of
+them into arrays, so that every distance is one batched expression.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import ClassVar, Union
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclasses.dataclass
+class Cylinder:
+    """A cylinder along z (a disc for a planar vehicle).
+
+    Attributes:
+        center: x and y of the axis, in m.
+        radius: in m.
+    """
+
+    center: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0])
+    radius: float = 1.0
+
+    def shape_matrix(self, num_outputs: int) -> FloatArray:
+        """H, which drops all but the first two outputs."""
+        return np.eye(2, num_outputs)
+
+
+@dataclasses.dataclass
+class Sphere:
+    """A ball in all outputs.
+
+    Attributes:
+        center: one coordinate per output, in m.
+        radius: in m.
+    """
+
+    center: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])
+    radius: float = 1.0
+
+    def shape_matrix(self, num_outputs: int) -> FloatArray:
+        """H, the identity."""
+        return np.eye(num_outputs)
+
+
+@dataclasses.dataclass
+class Ellipsoid:
+    """The general shape: all r with ``‖H (r - center)‖ < radius``.
+
+    Attributes:
+        center: one coordinate per output, in m.
+        shape: H, as rows; distances are measured in this metric.
+        radius: r_o, in the unit of ``H r``.
+    """
+
+    center: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])
+    shape: list[list[float]] = dataclasses.field(
+        default_factory=lambda: np.eye(3).tolist()
+    )
+    radius: float = 1.0
+
+    def shape_matrix(self, num_outputs: int) -> FloatArray:
+        """H, as given."""
+        return np.asarray(self.shape, dtype=float)
+
+
+Obstacle = Union[Cylinder, Sphere, Ellipsoid]  # noqa: UP007, Drake's YAML wants it
+
+
+@dataclasses.dataclass(frozen=True)
+class ObstacleSet:
+    """Obstacles as stacked arrays.
+
+    Attributes:
+        shape: H, ``(num_obstacles, rows, m)``, padded with zero rows.
+        center: p_c in the image of H, ``(num_obstacles, rows)``.
+        radius: r_o, ``(num_obstacles,)``.
+    """
+
+    shape: FloatArray
+    center: FloatArray
+    radius: FloatArray
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    @classmethod
+    def stack(cls, obstacles: Sequence[Obstacle], num_outputs: int) -> "ObstacleSet":
+        """Stacks the obstacles of a scenario with `num_outputs` outputs."""
+        matrices = [o.shape_matrix(num_outputs) for o in obstacles]
+        rows = max((len(H) for H in matrices), default=1)
+        shape = np.zeros((len(obstacles), rows, num_outputs))
+        center = np.zeros((len(obstacles), rows))
+        for i, (H, o) in enumerate(zip(matrices, obstacles, strict=True)):
+            shape[i, : len(H)] = H
+            c = np.asarray(o.center, dtype=float)
+            # A cylinder's centre is already in the image of H.
+            center[i, : len(H)] = c if isinstance(o, Cylinder) else H @ c
+        return cls(shape, center, np.array([o.radius for o in obstacles], dtype=float))
+
+    def __len__(self) -> int:
+        """The number of obstacles."""
+        return len(self.radius)
+
+    def offsets(self, position: FloatArray) -> FloatArray:
+        """``H r - p_c`` for every obstacle.
+
+        Args:
+            position: r, shape ``(..., m)``.
+
+        Returns:
+            Shape ``(..., num_obstacles, rows)``.
+        """
+        return np.asarray(
+            np.einsum("oij,...j->...oi", self.shape, position) - self.center
+        )
+
+    def tube_radii(self, position_tube: FloatArray) -> FloatArray:
+        """``|H| Ω``: the box that holds ``H r̃``; shapes as `offsets`."""
+        return np.asarray(
+            np.einsum("oij,...j->...oi", np.abs(self.shape), position_tube)
+        )
+
+    def clearance(
+        self,
+        position: FloatArray,
+        position_tube: FloatArray | float = 0.0,
+        margin: str = "norm",
+    ) -> FloatArray:
+        """Distance from each obstacle's surface to the tube around a position.
+
+        Args:
+            position: r*, shape ``(..., m)``.
+            position_tube: Ω, the same shape.
+            margin: ``norm`` takes ``‖|H| Ω‖`` off the distance (the paper's);
+                ``support`` measures to the box itself, which is tight.
+
+        Returns:
+            Shape ``(..., num_obstacles)``, negative inside.
+        """
+        offset = self.offsets(position)
+        radii = self.tube_radii(np.broadcast_to(position_tube, np.shape(position)))
+        if margin == "norm":
+            distance = np.linalg.norm(offset, axis=-1) - np.linalg.norm(radii, axis=-1)
+        else:
+            distance = np.linalg.norm(np.maximum(np.abs(offset) - radii, 0.0), axis=-1)
+        return np.asarray(distance - self.radius)

@@ -1,0 +1,214 @@
+"""A plan: the reference and the tube around it, as functions of time."""
+
+from __future__ import annotations
+
+import dataclasses
+import zipfile
+from math import factorial
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+_SAMPLE_PERIOD = 0.005  # of a saved plan, in s
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Plan:
+    """A reference y*(t), the tube around it and the bandwidth that makes it.
+
+    The reference is a piecewise polynomial of degree n + 1 whose n-th
+    derivative is continuous; the bandwidth α is piecewise linear between the
+    same knots.  The tube that follows from both is kept as cubic Hermite
+    pieces on a finer grid: Φ* is C¹, and `boundary_layer_rate` is its exact
+    derivative, which is all that the invariance of the layer needs.
+
+    Outside ``[start_time, end_time]`` a plan holds its first or last value.
+
+    Attributes:
+        knots: ``(N + 1,)``, in s.
+        coefficients: of y* in powers of the time since a piece began,
+            ``(N, n + 2, m)``.
+        bandwidth_knots: α, ``(N + 1, m)``, in rad/s.
+        tube_times: the finer grid, ``(M + 1,)``, in s.
+        layer_samples: Φ and dΦ/dt, ``(M + 1, 2, m)``.
+        bound_samples: bounds of ``|ỹ^(k)|``, ``(M + 1, n, m)``.
+        bound_rate_samples: their time derivatives, same shape.
+    """
+
+    knots: FloatArray
+    coefficients: FloatArray
+    bandwidth_knots: FloatArray
+    tube_times: FloatArray
+    layer_samples: FloatArray
+    bound_samples: FloatArray
+    bound_rate_samples: FloatArray
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    @property
+    def start_time(self) -> float:
+        """The first knot, in s."""
+        return float(self.knots[0])
+
+    @property
+    def end_time(self) -> float:
+        """The last knot, in s."""
+        return float(self.knots[-1])
+
+    @property
+    def order(self) -> int:
+        """n, the order of the outputs."""
+        return self.coefficients.shape[1] - 2
+
+    @property
+    def num_outputs(self) -> int:
+        """m, the number of outputs."""
+        return self.coefficients.shape[2]
+
+    def reference(self, time: FloatArray | float) -> FloatArray:
+        """y* and its derivatives up to the n-th.
+
+        Args:
+            time: shape ``(...)``, in s.
+
+        Returns:
+            Shape ``(..., n + 1, m)``; row k is the k-th derivative.
+        """
+        t, piece = _locate(self.knots, time)
+        powers = len(self.coefficients[0])
+        basis = np.zeros((*t.shape, self.order + 1, powers))
+        for k in range(self.order + 1):
+            for p in range(k, powers):
+                basis[..., k, p] = factorial(p) / factorial(p - k) * t ** (p - k)
+        return np.asarray(basis @ self.coefficients[piece])
+
+    def bandwidth(self, time: FloatArray | float) -> FloatArray:
+        """α*, shape ``(..., m)``, in rad/s."""
+        t, piece = _locate(self.knots, time)
+        weight = (t / np.diff(self.knots)[piece])[..., None]
+        start, end = self.bandwidth_knots[piece], self.bandwidth_knots[piece + 1]
+        return np.asarray((1 - weight) * start + weight * end)
+
+    def boundary_layer(self, time: FloatArray | float) -> FloatArray:
+        """Φ*, shape ``(..., m)``."""
+        samples = self.layer_samples
+        return _hermite(self.tube_times, samples[:, 0], samples[:, 1], time)[0]
+
+    def boundary_layer_rate(self, time: FloatArray | float) -> FloatArray:
+        """dΦ*/dt, the exact derivative of `boundary_layer`, ``(..., m)``."""
+        samples = self.layer_samples
+        return _hermite(self.tube_times, samples[:, 0], samples[:, 1], time)[1]
+
+    def layer(self, time: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+        """Φ* and dΦ*/dt in one look-up."""
+        samples = self.layer_samples
+        return _hermite(self.tube_times, samples[:, 0], samples[:, 1], time)
+
+    def error_bound(self, time: FloatArray | float) -> FloatArray:
+        """Bounds of ``|ỹ^(k)|``, k < n, shape ``(..., n, m)``."""
+        return _hermite(
+            self.tube_times, self.bound_samples, self.bound_rate_samples, time
+        )[0]
+
+    def position_tube(self, time: FloatArray | float) -> FloatArray:
+        """Ω, the bound of ``|ỹ|``, shape ``(..., m)``."""
+        return np.asarray(self.error_bound(time)[..., 0, :])
+
+    def sample_times(self, period: float = _SAMPLE_PERIOD) -> FloatArray:
+        """Uniform times from start to end, at most `period` apart."""
+        count = int(np.ceil((self.end_time - self.start_time) / period - 1e-9))
+        return np.linspace(self.start_time, self.end_time, max(count, 1) + 1)
+
+    def sample(self, period: float = _SAMPLE_PERIOD) -> dict[str, FloatArray]:
+        """Everything that a plan says, on uniform times, under its field name.
+
+        For n > 2 ``acceleration`` is the second derivative, and
+        ``error_bound`` has the bounds of all derivatives.  For n = 1 there is
+        no velocity tube and no acceleration.
+        """
+        time = self.sample_times(period)
+        reference = self.reference(time)
+        bound = self.error_bound(time)
+        layer, layer_rate = self.layer(time)
+        arrays = {
+            "time": time,
+            "position": reference[:, 0],
+            "velocity": reference[:, 1],
+            "bandwidth": self.bandwidth(time),
+            "boundary_layer": layer,
+            "boundary_layer_rate": layer_rate,
+            "position_tube": bound[:, 0],
+            "reference": reference,
+            "error_bound": bound,
+        }
+        if self.order >= 2:
+            arrays["acceleration"] = reference[:, 2]
+            arrays["velocity_tube"] = bound[:, 1]
+        return arrays
+
+    def save(self, path: str | Path) -> None:
+        """Writes the samples (at most 5 ms apart) and the exact plan as ``.npz``."""
+        exact: dict[str, Any] = {
+            f"plan_{field.name}": getattr(self, field.name)
+            for field in dataclasses.fields(self)
+        }
+        with open(path, "wb") as file:
+            np.savez_compressed(file, **self.sample(), **exact)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Plan:
+        """Reads what `save` wrote.
+
+        Raises:
+            FileNotFoundError: if there is no such file.
+            ValueError: if the file is not a saved plan.
+        """
+        with open(path, "rb") as file:
+            if not zipfile.is_zipfile(file):
+                raise ValueError(f"{path}: not a saved plan (not an .npz file)")
+        with np.load(path) as data:
+            names = [field.name for field in dataclasses.fields(cls)]
+            missing = [n for n in names if f"plan_{n}" not in data]
+            if missing:
+                raise ValueError(f"{path}: not a saved plan (no {missing[0]!r})")
+            return cls(**{n: data[f"plan_{n}"] for n in names})
+
+    def __repr__(self) -> str:
+        """Names what a reader wants to know first."""
+        a, w = self.bandwidth_knots, self.bound_samples[:, 0]
+        return (
+            f"Plan({self.start_time:g} to {self.end_time:g} s, "
+            f"{len(self.knots) - 1} intervals, order {self.order}, "
+            f"{self.num_outputs} outputs, bandwidth {a.min():.2f} to {a.max():.2f} "
+            f"rad/s, position tube at most {w.max():.3f})"
+        )
+
+
+def _locate(
+    grid: FloatArray, time: FloatArray | float
+) -> tuple[FloatArray, npt.NDArray[np.intp]]:
+    """Time since the start of the piece, and the piece's index; clamped."""
+    time = np.clip(np.asarray(time, dtype=float), grid[0], grid[-1])
+    piece = np.clip(np.searchsorted(grid, time, side="right") - 1, 0, len(grid) - 2)
+    return time - grid[piece], piece
+
+
+def _hermite(
+    grid: FloatArray, value: FloatArray, rate: FloatArray, time: FloatArray | float
+) -> tuple[FloatArray, FloatArray]:
+    """Cubic Hermite interpolation: value and exact derivative."""
+    t, i = _locate(grid, time)
+    extra = (1,) * (value.ndim - 1)
+    h = (grid[i + 1] - grid[i]).reshape(*t.shape, *extra)
+    x = t.reshape(*t.shape, *extra) / h
+    y0, y1, d0, d1 = value[i], value[i + 1], h * rate[i], h * rate[i + 1]
+    c2 = 3 * (y1 - y0) - 2 * d0 - d1
+    c3 = 2 * (y0 - y1) + d0 + d1
+    return (
+        y0 + x * (d0 + x * (c2 + x * c3)),
+        (d0 + x * (2 * c2 + 3 * x * c3)) / h,
+    )

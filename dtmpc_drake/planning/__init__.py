@@ -1,0 +1,17 @@
+"""From a scenario to a certified plan: the one function that plans."""
+
+from dtmpc_drake.planning.certificate import Certificate, Margin, certify
+from dtmpc_drake.planning.planner import PlanningResult, plan, plan_problem
+from dtmpc_drake.planning.problem import Problem
+from dtmpc_drake.planning.scp import Iteration
+
+__all__ = [
+    "Certificate",
+    "Iteration",
+    "Margin",
+    "PlanningResult",
+    "Problem",
+    "certify",
+    "plan",
+    "plan_problem",
+]

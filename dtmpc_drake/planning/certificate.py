@@ -1,0 +1,273 @@
+"""The certificate: what a plan keeps, for all times, checked after the solve.
+
+Nothing here knows how a plan was found.  The tube is propagated again from the
+plan's own polynomials, twice as finely; then every margin is bounded from below
+on every short interval, not only at its ends.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import ClassVar
+
+import numpy as np
+
+from dtmpc_drake.models import Array, ConstantUncertainty
+from dtmpc_drake.plan import Plan
+from dtmpc_drake.planning.problem import Problem
+from dtmpc_drake.sliding import bandwidth as implied_bandwidth
+from dtmpc_drake.sliding import switching_gain
+from dtmpc_drake.tightening import input_bound, rate_bound
+from dtmpc_drake.tube import Tube, propagate_error_bounds
+
+REFINEMENT = 2
+"""Intervals of the certificate in each step of the plan's own tube."""
+FIXED_TOLERANCE = 5e-3
+"""Allowed deviation from a fixed bandwidth, relative."""
+END_TOLERANCE = 1e-6
+"""Allowed distance from the start and goal states, in their units."""
+TUBE_TOLERANCE = 1e-4
+"""How far the tube that a plan carries may lie below the one propagated here, on
+which all margins rest; they differ where the model has kinks.  In m and m/s."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Margin:
+    """The smallest distance from a limit over a whole plan.
+
+    Attributes:
+        value: negative where the limit is broken.
+        unit: of the value.
+        time: when it is smallest, in s.
+        where: which obstacle, axis or bound.
+    """
+
+    value: float
+    unit: str
+    time: float
+    where: str
+
+    def __str__(self) -> str:
+        """For one line of a report."""
+        at = f"{self.value:+.4f} {self.unit} at t = {self.time:.2f} s"
+        return f"{at} ({self.where})" if self.where else at
+
+
+@dataclasses.dataclass(frozen=True)
+class Certificate:
+    """Every margin of a plan.
+
+    Attributes:
+        margins: by name.
+        bounds_proven: whether the model's bounds over a box are proven; if they
+            were sampled, no plan is certified.
+    """
+
+    margins: dict[str, Margin]
+    bounds_proven: bool
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    @property
+    def certified(self) -> bool:
+        """Whether no margin is negative and the bounds are proven."""
+        return self.bounds_proven and self.worst[1].value >= 0
+
+    @property
+    def worst(self) -> tuple[str, Margin]:
+        """The smallest margin and its name."""
+        return min(self.margins.items(), key=lambda item: item[1].value)
+
+    def __str__(self) -> str:
+        """One line a margin."""
+        lines = [f"{name:<16} {margin}" for name, margin in self.margins.items()]
+        if not self.bounds_proven:
+            lines.append("the model's bounds over a box are sampled, not proven")
+        return "\n".join(lines)
+
+
+def certify(plan: Plan, problem: Problem) -> Certificate:
+    """Checks a plan against its problem, for all times.
+
+    Args:
+        plan: whose polynomials are checked.
+        problem: gives model, limits and obstacles.
+
+    Returns:
+        The certificate.
+    """
+    n = problem.model.order
+    half = _refined(plan.tube_times, 2 * REFINEMENT)
+    reference = plan.reference(half)
+    layer, layer_rate = plan.layer(half)
+    gain = switching_gain(
+        model_error_bound=problem.model.model_error_bound(reference[:, :n]),
+        disturbance_bound=problem.disturbance_bound,
+        reaching_rate=problem.reaching_rate,
+        boundary_layer_rate=layer_rate,
+    )
+    bandwidth = implied_bandwidth(gain=gain, boundary_layer=layer)
+    nodes = slice(None, None, 2)
+    step = float(half[2] - half[0])
+    tube = propagate_error_bounds(
+        model=problem.model,
+        reference=reference[:, :n],
+        bandwidth=bandwidth,
+        boundary_layer=layer[nodes],
+        boundary_layer_rate=layer_rate[nodes],
+        slope=problem.slope,
+        disturbance_bound=problem.disturbance_bound,
+        initial_error=problem.initial_error,
+        velocity_bound=problem.velocity_bound,
+        step=step,
+    )
+    time, reference = half[nodes], reference[nodes]
+    gain = gain[nodes]
+    margins: dict[str, Margin] = {}
+    if len(problem.obstacles):
+        margins["obstacles"] = _obstacle_margin(
+            plan, problem, time, reference[:, 0], tube
+        )
+
+    speed = problem.speed_limit - np.abs(reference[:, 1])
+    speed = speed - rate_bound(
+        model=problem.model,
+        reference=reference[:, :n],
+        error_bound=tube.error_bound,
+        gain=gain,
+        disturbance_bound=problem.disturbance_bound,
+    )
+    margins["speed"] = _smallest(time, _between(speed), "m/s", "axis")
+    used = input_bound(
+        model=problem.model,
+        reference=reference[:, :n],
+        highest=reference[:, n],
+        error_bound=tube.error_bound,
+        gain=gain,
+        slope=problem.slope,
+    )
+    room = (problem.input_limit - used)[:, None]
+    margins["input"] = _smallest(time, _between(room), f"m/s^{n}", "")
+    margins |= _bandwidth_margins(problem, half, bandwidth)
+    margins["boundary_layer"] = _smallest(time, _between(layer[nodes]), "m/s", "axis")
+    own = plan.error_bound(time) - tube.error_bound + TUBE_TOLERANCE
+    margins["tube"] = _smallest(time, own.reshape(len(time), -1), "", "bound")
+    ends = np.stack(
+        [
+            np.abs(reference[0, :n] - problem.start).max(keepdims=True)[0],
+            np.abs(reference[-1, :n] - problem.goal).max(keepdims=True)[0],
+        ]
+    )
+    margins["ends"] = _smallest(time[[0, -1]], END_TOLERANCE - ends, "", "axis")
+    if isinstance(problem.model, ConstantUncertainty):
+        true = problem.model.model.model_error_bound_over(
+            reference[:, :n], tube.error_bound
+        )
+        room = problem.model.bound - true
+        margins["model_error"] = _smallest(time, _between(room), "m/s²", "axis")
+    return Certificate(margins, problem.model.bounds_certified)
+
+
+def _bandwidth_margins(
+    problem: Problem, time: Array, bandwidth: Array
+) -> dict[str, Margin]:
+    """Margins of α, which is linear between any two of these times."""
+    unit = "rad/s"
+    if problem.bandwidth_is_fixed:
+        room = FIXED_TOLERANCE * problem.bandwidth_max
+        room = room - np.abs(bandwidth - problem.bandwidth_max)
+        return {"bandwidth_fixed": _smallest(time, room, unit, "axis")}
+    low, high = bandwidth - problem.bandwidth_min, problem.bandwidth_max - bandwidth
+    rate = np.diff(bandwidth[::2], axis=0) / np.diff(time[::2])[:, None]
+    slack = problem.bandwidth_rate_max - np.abs(rate)
+    return {
+        "bandwidth_min": _smallest(time, low, unit, "axis"),
+        "bandwidth_max": _smallest(time, high, unit, "axis"),
+        "bandwidth_rate": _smallest(time[::2], slack, "rad/s²", "axis"),
+    }
+
+
+def _refined(grid: Array, factor: int) -> Array:
+    """The same grid with `factor` times as many intervals."""
+    count = (len(grid) - 1) * factor
+    return np.interp(np.arange(count + 1) / factor, np.arange(len(grid)), grid)
+
+
+def _between(values: Array) -> Array:
+    """Lower bounds between samples, ``(K, ...)`` to ``(K - 1, ...)``.
+
+    A smooth function sags below a chord by an eighth of its second difference;
+    half of the largest one near by is taken off, which covers kinks too.  Only
+    valleys have a positive one.
+    """
+    ends = np.minimum(values[:-1], values[1:])
+    second = np.maximum(np.diff(values, 2, axis=0), 0.0)
+    second = np.concatenate([second[:1], second, second[-1:]])
+    return np.asarray(ends - np.maximum(second[:-1], second[1:]) / 2)
+
+
+def _smallest(time: Array, values: Array, unit: str, where: str) -> Margin:
+    """The smallest of ``(K, q)`` values, and the name of its column."""
+    row, column = np.unravel_index(int(np.argmin(values)), values.shape)
+    name = f"{where} {column}" if where else ""
+    return Margin(float(values[row, column]), unit, float(time[row]), name)
+
+
+def _obstacle_margin(
+    plan: Plan, problem: Problem, time: Array, position: Array, tube: Tube
+) -> Margin:
+    """Clearance of the tube, bounded on every interval by a half-plane.
+
+    Within an interval the reference leaves its chord by at most ``h²/8 max|ÿ|``,
+    and so does the tube; ``ν'z - size`` is linear along both chords, hence
+    smallest at an end.
+    """
+    obstacles = problem.obstacles
+    offset = obstacles.offsets(position)
+    position_tube = tube.error_bound[:, 0]
+    boxes = obstacles.tube_radii(position_tube)
+    middle = (offset[:-1] + offset[1:]) / 2
+    if problem.tube_margin == "support":
+        box = np.maximum(boxes[:-1], boxes[1:])
+        nearest = np.sign(middle) * np.maximum(np.abs(middle) - box, 0.0)
+        inside = np.linalg.norm(nearest, axis=-1, keepdims=True) < 1e-9
+        middle = np.where(inside, middle, nearest)
+    length = np.maximum(np.linalg.norm(middle, axis=-1, keepdims=True), 1e-9)
+    normal = middle / length
+    if problem.tube_margin == "support":
+        start = (np.abs(normal) * boxes[:-1]).sum(-1)
+        end = (np.abs(normal) * boxes[1:]).sum(-1)
+    else:
+        size = np.linalg.norm(boxes, axis=-1)
+        start, end = size[:-1], size[1:]
+    bound = np.minimum(
+        (normal * offset[:-1]).sum(-1) - start, (normal * offset[1:]).sum(-1) - end
+    )
+
+    # How far curve and tube leave their chords, in the metric of each obstacle.
+    h = time[1] - time[0]
+    piece = np.clip(
+        np.searchsorted(plan.knots, time[:-1], side="right") - 1,
+        0,
+        len(plan.knots) - 2,
+    )
+    curvature = _largest_acceleration(plan)[piece]
+    bend = np.abs(np.diff(tube.error_bound_rate[:, 0], axis=0)) / h
+    bend = np.maximum(bend[:-1], bend[1:])
+    bend = np.concatenate([bend[:1], bend])
+    # Twice the measured bend of the tube: it is smooth within an interval.
+    leave = h**2 / 8 * (curvature + 2 * bend)
+    sag = np.linalg.norm(obstacles.tube_radii(leave), axis=-1)
+    values = bound - obstacles.radius - sag
+    return _smallest(time, values, "m", "obstacle")
+
+
+def _largest_acceleration(plan: Plan) -> Array:
+    """A bound of ``|ÿ*|`` on every piece, ``(N, m)``."""
+    powers = plan.coefficients
+    factors = [p * (p - 1) for p in range(powers.shape[1])]
+    h = np.diff(plan.knots)[:, None]
+    terms = [
+        f * np.abs(powers[:, p]) * h ** (p - 2) for p, f in enumerate(factors) if f
+    ]
+    return np.asarray(sum(terms))

@@ -1,0 +1,314 @@
+"""The same problem on IPOPT, with its bilinear constraints as they are.
+
+Decisions, cost and constraints are those of the transcription; the tube obeys
+its differential equations by Hermite-Simpson collocation, and the normals of the
+separating half-planes are variables.  Every row is a scalar symbolic expression,
+which Drake evaluates in C++ (a quadratic one as such), because its IPOPT has no
+exact Hessian and therefore evaluates often.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+from pydrake.solvers import IpoptSolver, MathematicalProgram, SolverOptions
+
+from dtmpc_drake.models import Array
+from dtmpc_drake.planning import splines
+from dtmpc_drake.planning.scp import BACKOFF, Iteration, Result, violation
+from dtmpc_drake.planning.transcription import (
+    TUBE_STEPS,
+    Halfplanes,
+    Iterate,
+    Local,
+    Transcription,
+    hermite_controls,
+)
+from dtmpc_drake.tube import cascade_bound, filter_rates
+
+REACH = 1.0
+"""Pieces and obstacles that are further apart have no half-plane, in m."""
+ROUNDS = 4
+"""Solves at most: each adds the half-planes that its result shows to be missed
+and shifts the tube by the rest of the collocation's error."""
+
+
+class _Program:
+    """One nonlinear program around an iterate."""
+
+    def __init__(
+        self, transcription: Transcription, guess: Iterate, correction: Array
+    ) -> None:
+        tr, p = transcription, transcription.problem
+        n, m, K = tr.order, tr.outputs, tr.intervals + 1
+        self.transcription = tr
+        self.program = MathematicalProgram()
+        new = self.program.NewContinuousVariables
+        self.coefficients = new(K - 1 + tr.degree, m, "q")
+        self.alpha = new(K, m, "alpha")
+        rows = n + 1 if tr.has_velocity_state else n
+        self.states = new(K * rows, m, "state").reshape(K, rows, m)
+        self.middles = new((K - 1) * rows, m, "middle").reshape(K - 1, rows, m)
+        self._set_guess(guess)
+        knots = [
+            splines.knot_operator(K - 1, tr.degree, k, tr.step).toarray()
+            @ self.coefficients
+            for k in range(n + 1)
+        ]
+        state = np.stack(knots[:n], axis=1)
+        for k in range(n):
+            self._rows(knots[k][0] - p.start[k], 0.0, 0.0)
+            self._rows(knots[k][-1] - p.goal[k], 0.0, 0.0)
+        if p.start_highest is not None:
+            self._rows(knots[n][0] - p.start_highest, 0.0, 0.0)
+        if p.start_bandwidth is not None:
+            self._rows(self.alpha[0] - p.start_bandwidth, 0.0, 0.0)
+        first = _tube_states(tr, guess)[0]
+        self._rows((self.states[0] - first).ravel(), 0.0, 0.0)
+        low, high = tr.bandwidth_low, tr.bandwidth_high
+        self.program.AddBoundingBoxConstraint(
+            np.tile(low, (K, 1)), np.tile(high, (K, 1)), self.alpha
+        )
+        self._rows(
+            (self.alpha[1:] - self.alpha[:-1]).ravel(),
+            -tr.bandwidth_change,
+            tr.bandwidth_change,
+        )
+        self._collocate(state)
+        # The exact tube is the collocated one and a correction.
+        exact = self.states + correction
+        self._hard(state, knots[n], exact, guess)
+
+    def _rows(self, expressions: Array, lower: float, upper: float) -> None:
+        for expression in np.ravel(expressions):
+            self.program.AddConstraint(expression, lower, upper)
+
+    def _set_guess(self, guess: Iterate) -> None:
+        values = _tube_states(self.transcription, guess)
+        half = TUBE_STEPS // 2
+        middle = _tube_states(self.transcription, guess, half)[1::2]
+        for variables, value in (
+            (self.coefficients, guess.coefficients),
+            (self.alpha, guess.bandwidth),
+            (self.states, values),
+            (self.middles, middle),
+        ):
+            self.program.SetInitialGuess(
+                variables.reshape(len(variables), -1),
+                value.reshape(len(value), -1),
+            )
+
+    def _collocate(self, state: Array) -> None:
+        """Hermite-Simpson on the tube's own differential equation."""
+        tr, p = self.transcription, self.transcription.problem
+        h = tr.step
+        basis = [
+            splines.basis(tr.degree, k, np.array([0.5]), h)[0] for k in range(tr.order)
+        ]
+        index = np.arange(tr.intervals)[:, None] + np.arange(tr.degree + 1)
+        windows = self.coefficients[index]
+        middle_state = np.stack(
+            [np.einsum("c,ncm->nm", b, windows) for b in basis], axis=1
+        )
+        middle_alpha = (self.alpha[:-1] + self.alpha[1:]) / 2
+
+        def rates(reference: Array, bandwidth: Array, states: Array) -> Array:
+            return filter_rates(
+                model=p.model,
+                reference=reference,
+                bandwidth=bandwidth,
+                states=states,
+                slope=p.slope,
+                disturbance_bound=p.disturbance_bound,
+                reaching_rate=p.reaching_rate,
+            )
+
+        x, f = self.states, rates(state, self.alpha, self.states)
+        f_middle = rates(middle_state, middle_alpha, self.middles)
+        average, change = (x[:-1] + x[1:]) / 2, x[1:] - x[:-1]
+        self._rows(self.middles - average - h / 8 * (f[:-1] - f[1:]), 0.0, 0.0)
+        self._rows(change - h / 6 * (f[:-1] + 4 * f_middle + f[1:]), 0.0, 0.0)
+        self.tube_rate = f
+
+    def _hard(
+        self, state: Array, highest: Array, states: Array, guess: Iterate
+    ) -> None:
+        """Input, speed, obstacles, and the cost."""
+        tr, p = self.transcription, self.transcription.problem
+        n, m = tr.order, tr.outputs
+        stages = states[:, :n]
+        bounds = [cascade_bound(stages, p.slope, k) for k in range(n)]
+        if tr.has_velocity_state:
+            bounds[-1] = states[:, n]
+        local = Local(
+            state=state,
+            highest=highest,
+            layer=stages[:, n - 1],
+            bandwidth=self.alpha,
+            error_bound=np.stack(bounds, axis=1),
+        )
+        # Bulges between the knots, as seen at the guess.
+        seen = tr.used_input(guess.local)
+        bulge = (p.input_limit - seen) - guess.input_margin
+        for row, extra in zip(tr.used_input(local), bulge, strict=True):
+            self.program.AddConstraint(
+                row, -np.inf, p.input_limit - extra - BACKOFF
+            )
+        rate, weight = tr.used_rate(local), np.linspace(0, 1, n + 1)[:, None]
+        chord = rate[:-1, None] * (1 - weight) + rate[1:, None] * weight
+        seen_rate = tr.used_rate(guess.local)
+        seen_chord = seen_rate[:-1, None] * (1 - weight) + seen_rate[1:, None] * weight
+        index = np.arange(tr.intervals)[:, None] + np.arange(tr.degree + 1)
+        windows = self.coefficients[index]
+        speed = np.einsum("ic,ncm->nim", tr.speed_basis, windows)
+        seen_speed = tr.speed_basis @ guess.coefficients[index]
+        bulge = p.speed_limit - seen_chord - seen_speed - guess.speed_margin[..., 0]
+        room = p.speed_limit - bulge - BACKOFF
+        self._rows(speed + chord - room, -np.inf, 0.0)
+        self._rows(chord - speed - room, -np.inf, 0.0)
+        self._obstacles(windows, stages, guess)
+
+        u = tr.feedforward(local)
+        for w, row, a in zip(tr.weights, u, self.alpha, strict=True):
+            cost = p.input_weight * (row**2).sum()
+            cost = cost + p.bandwidth_weight * ((a - p.bandwidth_floor) ** 2).sum()
+            self.program.AddCost(w * cost)
+        del m
+
+    def _obstacles(self, windows: Array, stages: Array, guess: Iterate) -> None:
+        tr, p = self.transcription, self.transcription.problem
+        self.planes: Halfplanes = tr.halfplanes(guess, REACH)
+        planes, obstacles = self.planes, p.obstacles
+        if not len(planes.piece):
+            return
+        controls = np.einsum("ic,ncm->nim", tr.position_basis, windows)
+        value = stages[:, 0]
+        if tr.order > 1:
+            rate = stages[:, 1] - p.slope * value
+        else:
+            rate = self.tube_rate[:, 0]
+        elevate = splines.elevation(3, tr.control_degree)
+        points = hermite_controls(value, rate, tr.step)
+        tubes = np.einsum("ij,njm->nim", elevate, points)
+        # What the exact tube has above these curves, as seen at the guess.
+        seen = hermite_controls(
+            guess.tube.error_bound[::TUBE_STEPS, 0],
+            guess.tube.error_bound_rate[::TUBE_STEPS, 0],
+            tr.step,
+        )
+        tubes = tubes + (guess.tube_controls - elevate @ seen)
+        for row, (k, o) in enumerate(zip(planes.piece, planes.obstacle, strict=True)):
+            H, center = obstacles.shape[o], obstacles.center[o]
+            used = np.flatnonzero(np.any(H != 0, axis=1))
+            normal = self.program.NewContinuousVariables(len(used), "normal")
+            self.program.SetInitialGuess(normal, planes.normal[row, used])
+            self.program.AddConstraint((normal**2).sum(), 0.0, 1.0)
+            boxes = tubes[k] @ np.abs(H[used]).T
+            offset = controls[k] @ H[used].T - center[used]
+            for i in range(len(offset)):
+                if p.tube_margin == "norm":
+                    size = self.program.NewContinuousVariables(1, "size")[0]
+                    here = guess.tube_controls[k, i] @ np.abs(H[used]).T
+                    self.program.SetInitialGuess(size, np.linalg.norm(here))
+                    self.program.AddBoundingBoxConstraint(0.0, np.inf, size)
+                    self.program.AddConstraint(
+                        (boxes[i] ** 2).sum() - size**2, -np.inf, 0.0
+                    )
+                else:
+                    signs = np.sign(planes.normal[row, used])
+                    size = (signs * normal * boxes[i]).sum()
+                along = (normal * offset[i]).sum()
+                self.program.AddConstraint(
+                    along - size, obstacles.radius[o] + BACKOFF, np.inf
+                )
+
+    def solve(self) -> tuple[Array, Array, Array, bool, str]:
+        """Coefficients, bandwidth, tube states, success and status."""
+        options = SolverOptions()
+        for name, value in {
+            "tol": 1e-5,
+            "constr_viol_tol": 1e-5,
+            "acceptable_tol": 1e-3,
+            "acceptable_constr_viol_tol": 1e-5,
+            "acceptable_iter": 10,
+            "mu_strategy": "adaptive",
+            "max_iter": 1000,
+        }.items():
+            options.SetOption(IpoptSolver.id(), name, value)
+        result = IpoptSolver().Solve(self.program, None, options)
+        details = result.get_solver_details()
+        values = [
+            np.asarray(result.GetSolution(v.reshape(len(v), -1))).reshape(v.shape)
+            for v in (self.coefficients, self.alpha, self.states)
+        ]
+        return (*values, result.is_success(), details.ConvertStatusToString())
+
+
+def _tube_states(
+    transcription: Transcription, iterate: Iterate, stride: int = TUBE_STEPS
+) -> Array:
+    """Y_0 ... Y_(n-1) = Φ and, if it is a state, W."""
+    rows = [iterate.tube.stages]
+    if transcription.has_velocity_state:
+        rows.append(iterate.tube.error_bound[:, -1:])
+    return np.concatenate(rows, axis=1)[::stride]
+
+
+def solve_nlp(
+    transcription: Transcription,
+    decisions: tuple[Array, Array],
+    *,
+    report: Callable[[Iteration], None],
+) -> Result:
+    """Solves the nonlinear program, again where its result shows more is needed.
+
+    Args:
+        transcription: of the problem.
+        decisions: coefficients and bandwidth to start from.
+        report: is given every solve.
+    """
+    tr = transcription
+    clock = time.perf_counter
+    current = tr.evaluate(*decisions)
+    correction = np.zeros_like(_tube_states(tr, current))
+    worst = violation(tr, current)
+    for _ in range(ROUNDS):
+        t0 = clock()
+        program = _Program(tr, current, correction)
+        t1 = clock()
+        coefficients, alpha, states, success, status = program.solve()
+        t2 = clock()
+        if not np.isfinite(coefficients).all():
+            return Result(current, False, worst, status)
+        before = current
+        current = tr.evaluate(coefficients, tr.feasible_bandwidth(alpha))
+        worst = violation(tr, current)
+        exact = _tube_states(tr, current)
+        defect = exact - states - correction
+        correction = exact - states
+        t3 = clock()
+        step = np.abs(current.coefficients - before.coefficients).max()
+        report(
+            Iteration(
+                intervals=tr.intervals,
+                cost=current.cost,
+                violation=worst,
+                slack=0.0,
+                defect=float(np.abs(defect).max()),
+                step=float(step),
+                fraction=1.0,
+                proximity=0.0,
+                predicted=before.cost - current.cost,
+                update_time=t1 - t0,
+                solve_time=t2 - t1,
+                evaluate_time=t3 - t2,
+                status=status,
+            )
+        )
+        if worst <= BACKOFF:
+            return Result(current, success, worst)
+        if not success and "nfeasible" in status:
+            return Result(current, False, worst)
+    return Result(current, False, worst, None if success else status)

@@ -1,0 +1,304 @@
+"""The one function that plans."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from dtmpc_drake.models import Array
+from dtmpc_drake.plan import Plan
+from dtmpc_drake.planning import splines
+from dtmpc_drake.planning.certificate import Certificate, certify
+from dtmpc_drake.planning.nlp import solve_nlp
+from dtmpc_drake.planning.problem import Problem
+from dtmpc_drake.planning.scp import (
+    BACKOFF,
+    PENALTY,
+    Iteration,
+    Result,
+    iterate_to_convergence,
+)
+from dtmpc_drake.planning.transcription import Iterate, Transcription
+from dtmpc_drake.scenario import Planner, Scenario
+
+Status = Literal["certified", "not_certified", "infeasible", "failed"]
+
+TOLERANCE = 0.003
+"""Iterations stop when the next one promises less than this part of the cost."""
+COARSE_TOLERANCE = 0.03
+COARSEST = 24
+"""Grids are halved for a first solution, down to no less than this."""
+
+_COLUMNS = (
+    ("N", "intervals", "{:3d}"),
+    ("cost", "cost", "{:9.4f}"),
+    ("violation", "violation", "{:9.2e}"),
+    ("slack", "slack", "{:8.1e}"),
+    ("defect", "defect", "{:8.1e}"),
+    ("step", "step", "{:7.4f}"),
+    ("fraction", "fraction", "{:8.3f}"),
+    ("trust", "proximity", "{:7.1e}"),
+    ("predicted", "predicted", "{:9.2e}"),
+    ("update s", "update_time", "{:8.4f}"),
+    ("solve s", "solve_time", "{:7.4f}"),
+    ("eval s", "evaluate_time", "{:6.4f}"),
+    ("solver", "status", "{}"),
+)
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class PlanningResult:
+    """What planning ended with; a failed solve is a status, not an exception.
+
+    Attributes:
+        status: ``certified``; ``not_certified`` (solved, but a margin is
+            negative or a bound not proven); ``infeasible`` (constraints cannot
+            be met from this start); ``failed`` (the solver gave up).
+        message: one line that says which margin or constraint, where and when.
+        plan: the plan if solved, else None.
+        attempt: the last iterate as a plan, whatever the status; never to fly.
+        certificate: of `attempt`.
+        cost: of `attempt`.
+        history: every convex program, coarse grids first.
+        times: ``update``, ``solve``, ``evaluate``, ``certify`` and ``total``, s.
+        backend: that solved it.
+        problem: that was solved.
+    """
+
+    status: Status
+    message: str
+    plan: Plan | None
+    attempt: Plan | None
+    certificate: Certificate | None
+    cost: float
+    history: tuple[Iteration, ...]
+    times: dict[str, float]
+    backend: str
+    problem: Problem
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    @property
+    def certified(self) -> bool:
+        """Whether the plan is certified."""
+        return self.status == "certified"
+
+    def table(self) -> str:
+        """The history as text."""
+        return "\n".join([table_header(), *map(table_row, self.history)])
+
+    def __repr__(self) -> str:
+        """Status, cost, time and the message."""
+        return (
+            f"PlanningResult({self.status}, cost {self.cost:.3f}, "
+            f"{len(self.history)} iterations in {self.times['total']:.3f} s on "
+            f"{self.backend}: {self.message})"
+        )
+
+
+def table_header() -> str:
+    """The header of the history's table."""
+    sample = Iteration(0, *[0.0] * 11, status="")
+    cells = []
+    for title, field, form in _COLUMNS:
+        width = len(form.format(getattr(sample, field)))
+        cells.append(title.rjust(max(width, len(title))))
+    return " ".join(cells)
+
+
+def table_row(iteration: Iteration) -> str:
+    """One row of the history's table."""
+    return " ".join(
+        form.format(getattr(iteration, field)).rjust(len(title))
+        for title, field, form in _COLUMNS
+    )
+
+
+def plan(
+    scenario: Scenario,
+    *,
+    report: Callable[[Iteration], None] | None = None,
+    warm_start: Plan | None = None,
+) -> PlanningResult:
+    """Plans a scenario from its start.
+
+    Args:
+        scenario: is validated first.
+        report: is called with every iteration as it ends.
+        warm_start: an earlier plan to start from, instead of the straight line.
+
+    Returns:
+        The result; look at its status.
+
+    Raises:
+        ScenarioError: if the scenario makes no sense.
+    """
+    scenario.validate()
+    return plan_problem(
+        Problem.from_scenario(scenario),
+        scenario.planner,
+        report=report,
+        warm_start=warm_start,
+    )
+
+
+def plan_problem(
+    problem: Problem,
+    settings: Planner,
+    *,
+    report: Callable[[Iteration], None] | None = None,
+    warm_start: Plan | None = None,
+) -> PlanningResult:
+    """Plans any problem, such as one that starts on the way; see `plan`."""
+    start = time.perf_counter()
+    history: list[Iteration] = []
+
+    def note(iteration: Iteration) -> None:
+        history.append(iteration)
+        if report is not None:
+            report(iteration)
+
+    if settings.backend == "ipopt":
+        transcription = Transcription(problem, settings.intervals)
+        decisions = _first_decisions(transcription, warm_start)
+        result = solve_nlp(transcription, decisions, report=note)
+    else:
+        transcription, result = _sequential_convex(
+            problem, settings, warm_start=warm_start, report=note
+        )
+    before = time.perf_counter()
+    attempt = transcription.plan(result.iterate)
+    certificate = certify(attempt, problem)
+    after = time.perf_counter()
+    status, message = _verdict(transcription, result, certificate)
+    times = {
+        "update": sum(i.update_time for i in history),
+        "solve": sum(i.solve_time for i in history),
+        "evaluate": sum(i.evaluate_time for i in history),
+        "certify": after - before,
+        "total": after - start,
+    }
+    return PlanningResult(
+        status=status,
+        message=message,
+        plan=attempt if status in ("certified", "not_certified") else None,
+        attempt=attempt,
+        certificate=certificate,
+        cost=result.iterate.cost,
+        history=tuple(history),
+        times=times,
+        backend=settings.backend,
+        problem=problem,
+    )
+
+
+def _first_decisions(
+    transcription: Transcription, warm_start: Plan | None
+) -> tuple[Array, Array]:
+    if warm_start is None:
+        return transcription.straight_line()
+    return transcription.from_plan(warm_start)
+
+
+def _sequential_convex(
+    problem: Problem,
+    settings: Planner,
+    *,
+    warm_start: Plan | None,
+    report: Callable[[Iteration], None],
+) -> tuple[Transcription, Result]:
+    """Coarse grids first: a step there costs half, and refining is exact.
+
+    If that ends infeasible, the bandwidth is held at its maximum until the
+    reference is feasible, and released from there.
+    """
+    grids = [settings.intervals]
+    while warm_start is None and grids[0] % 2 == 0 and grids[0] >= 2 * COARSEST:
+        grids.insert(0, grids[0] // 2)
+    decisions: tuple[Array, Array] | None = None
+    for intervals in grids:
+        transcription = Transcription(problem, intervals)
+        if decisions is None:
+            decisions = _first_decisions(transcription, warm_start)
+        last = intervals == grids[-1]
+        result = iterate_to_convergence(
+            transcription,
+            decisions,
+            tolerance=TOLERANCE if last else COARSE_TOLERANCE,
+            max_iterations=settings.max_iterations,
+            report=report,
+        )
+        if not last:
+            decisions = (
+                splines.refine(result.iterate.coefficients, transcription.degree),
+                _doubled(result.iterate.bandwidth),
+            )
+    free = not problem.bandwidth_is_fixed and problem.start_bandwidth is None
+    if result.violation > BACKOFF and free:
+        high = transcription.bandwidth_high
+        held = dataclasses.replace(problem, bandwidth_min=high, bandwidth_max=high)
+        _, first = _sequential_convex(held, settings, warm_start=None, report=report)
+        if first.violation <= BACKOFF:
+            result = iterate_to_convergence(
+                transcription,
+                (first.iterate.coefficients, first.iterate.bandwidth),
+                tolerance=TOLERANCE,
+                max_iterations=settings.max_iterations,
+                report=report,
+                # So high that what is feasible stays feasible.
+                penalty=100 * PENALTY,
+            )
+    return transcription, result
+
+
+def _doubled(values: Array) -> Array:
+    """Linear interpolation to twice as many intervals."""
+    result = np.repeat(values, 2, axis=0)[:-1]
+    result[1::2] = (values[:-1] + values[1:]) / 2
+    return result
+
+
+def _verdict(
+    transcription: Transcription, result: Result, certificate: Certificate
+) -> tuple[Status, str]:
+    name, margin = certificate.worst
+    if result.failure is not None:
+        return "failed", f"the solver stopped with {result.failure}"
+    if certificate.certified:
+        return "certified", f"smallest margin: {name} {margin}"
+    if result.violation > BACKOFF and margin.value < 0:
+        limits = _limits(transcription, result.iterate)
+        return "infeasible", f"{limits}; no better plan from this start"
+    if margin.value < 0:
+        return "not_certified", f"{name} {margin}"
+    return "not_certified", "the model's bounds over a box are sampled, not proven"
+
+
+def _limits(transcription: Transcription, iterate: Iterate) -> str:
+    """Which constraints cannot be met together, where and when."""
+    tr, knots = transcription, transcription.knots
+    found = []
+    planes = tr.halfplanes(iterate, 0.5)
+    if planes.margin.size and planes.margin.min() < 0:
+        row, point = np.unravel_index(planes.margin.argmin(), planes.margin.shape)
+        when = knots[planes.piece[row]] + tr.step * point / tr.control_degree
+        text = f"obstacle {planes.obstacle[row]} by {-planes.margin.min():.3f} m"
+        found.append((-planes.margin.min(), f"{text} at t = {when:.2f} s"))
+    worst = -iterate.speed_margin.min()
+    if worst > 0:
+        piece, _, axis, _ = np.unravel_index(
+            iterate.speed_margin.argmin(), iterate.speed_margin.shape
+        )
+        text = f"speed limit on axis {axis} by {worst:.3f} m/s"
+        found.append((worst, f"{text} at t = {knots[piece]:.2f} s"))
+    worst = -iterate.input_margin.min()
+    if worst > 0:
+        when = knots[iterate.input_margin.argmin()]
+        text = f"input limit by {worst:.3f} m/s^{tr.order}"
+        found.append((worst, f"{text} at t = {when:.2f} s"))
+    found.sort(reverse=True)
+    return "cannot keep " + ", ".join(text for _, text in found)

@@ -1,0 +1,107 @@
+"""The optimisation problem that a scenario poses, as arrays."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import ClassVar
+
+import numpy as np
+
+from dtmpc_drake.models import Array, Model
+from dtmpc_drake.obstacles import ObstacleSet
+from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.tube import VelocityBound
+
+
+@dataclasses.dataclass(frozen=True)
+class Problem:
+    """One dynamic tube MPC problem (the paper's Problem 2), for any model.
+
+    Attributes:
+        model: F̂, B, Δ and their bounds.
+        obstacles: to stay clear of.
+        slope: λ, ``(m,)``.
+        disturbance_bound: D, ``(m,)``.
+        reaching_rate: η.
+        bandwidth_min, bandwidth_max: bounds of α, ``(m,)``; equal if fixed.
+        bandwidth_rate_max: bound of abs(dα/dt).
+        input_limit: u_m.
+        speed_limit: on every axis.
+        input_weight, bandwidth_weight: Q and R.
+        bandwidth_floor: α̲ in the cost's α̃ = α - α̲.
+        start_time, duration: in s.
+        start, goal: x* at both ends, ``(n, m)``.
+        initial_error: bounds of ``|x̃(t0)|``, ``(n, m)``.
+        initial_boundary_layer: Φ(t0), ``(m,)``.
+        tube_margin: ``norm`` or ``support``.
+        velocity_bound: ``comparison`` or ``paper``.
+        start_highest: y*^(n)(t0), if it must be continuous.
+        start_bandwidth: α(t0), if it must be continuous.
+    """
+
+    model: Model
+    obstacles: ObstacleSet
+    slope: Array
+    disturbance_bound: Array
+    reaching_rate: float
+    bandwidth_min: Array
+    bandwidth_max: Array
+    bandwidth_rate_max: float
+    bandwidth_floor: float
+    input_limit: float
+    speed_limit: float
+    input_weight: float
+    bandwidth_weight: float
+    start_time: float
+    duration: float
+    start: Array
+    goal: Array
+    initial_error: Array
+    initial_boundary_layer: Array
+    tube_margin: str
+    velocity_bound: VelocityBound
+    start_highest: Array | None = None
+    start_bandwidth: Array | None = None
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    @classmethod
+    def from_scenario(cls, scenario: Scenario) -> Problem:
+        """The problem at the start of a scenario."""
+        model = scenario.planning_model()
+        bandwidth = scenario.controller.bandwidth
+        low, high = bandwidth.min, bandwidth.max
+        if bandwidth.fixed is not None:
+            low = high = bandwidth.fixed
+        m = model.num_outputs
+        velocity_bound: VelocityBound = (
+            "paper" if scenario.planner.velocity_bound == "paper" else "comparison"
+        )
+        return cls(
+            model=model,
+            obstacles=scenario.obstacle_set(),
+            slope=scenario.slope(),
+            disturbance_bound=scenario.disturbance_bound(),
+            reaching_rate=scenario.controller.reaching_rate,
+            bandwidth_min=np.full(m, low),
+            bandwidth_max=np.full(m, high),
+            bandwidth_rate_max=bandwidth.rate_max,
+            bandwidth_floor=bandwidth.min,
+            input_limit=scenario.limits.input,
+            speed_limit=scenario.limits.speed,
+            input_weight=scenario.cost.input,
+            bandwidth_weight=scenario.cost.bandwidth,
+            start_time=0.0,
+            duration=scenario.duration,
+            start=scenario.start_state(),
+            goal=scenario.goal_state(),
+            initial_error=np.abs(scenario.initial_error_state()),
+            initial_boundary_layer=scenario.initial_boundary_layer(),
+            tube_margin=scenario.planner.tube_margin,
+            velocity_bound=velocity_bound,
+        )
+
+    @property
+    def bandwidth_is_fixed(self) -> bool:
+        """Whether α is given rather than decided."""
+        return bool((self.bandwidth_min == self.bandwidth_max).all())

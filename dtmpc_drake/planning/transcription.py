@@ -1,0 +1,499 @@
+"""From the infinite problem to finitely many numbers, for both backends.
+
+The *decisions* of a plan are the spline coefficients of y* and the bandwidth α
+at the knots (first-order hold).  `Transcription.evaluate` turns them into an
+`Iterate`: the exact tube that follows, the cost and every constraint, all
+vectorised over knots.  `Transcription.local` says how the variables of the
+programs enter at one knot; both backends build their rows from it.
+
+Every iterate is propagated with the exact tube, so a program's tube only has to
+be right to first order around it; no discretisation error is left in a plan.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import ClassVar
+
+import numpy as np
+import scipy.sparse.linalg
+
+from dtmpc_drake.models import Array
+from dtmpc_drake.plan import Plan
+from dtmpc_drake.planning import splines
+from dtmpc_drake.planning.problem import Problem
+from dtmpc_drake.tightening import input_bound, rate_bound
+from dtmpc_drake.tube import Tube, propagate
+
+HAIR = 2e-3
+"""By how much the bandwidth stays inside its limits, relative."""
+INPUT_HAIR = 1e-3
+"""By how much the input does: the tube's pieces round off the model's kinks."""
+TUBE_STEPS = 16
+"""Steps of the tube in each interval; the half grid has twice as many."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Local:
+    """Everything that enters at one instant, batched over leading axes.
+
+    Attributes:
+        state: x*, ``(..., n, m)``.
+        highest: y*^(n), ``(..., m)``.
+        layer: Φ, ``(..., m)``.
+        bandwidth: α, ``(..., m)``.
+        error_bound: R, ``(..., n, m)``.
+    """
+
+    state: Array
+    highest: Array
+    layer: Array
+    bandwidth: Array
+    error_bound: Array
+
+    def pack(self) -> Array:
+        """One flat vector an instant, ``(..., (2 n + 3) m)``."""
+        lead = self.layer.shape[:-1]
+        return np.concatenate(
+            [
+                self.state.reshape(*lead, -1),
+                self.highest,
+                self.layer,
+                self.bandwidth,
+                self.error_bound.reshape(*lead, -1),
+            ],
+            axis=-1,
+        )
+
+    @classmethod
+    def unpack(cls, flat: Array, order: int, outputs: int) -> Local:
+        """The inverse of `pack`."""
+        nm, m = order * outputs, outputs
+        shape = (*flat.shape[:-1], order, outputs)
+        return cls(
+            state=flat[..., :nm].reshape(shape),
+            highest=flat[..., nm : nm + m],
+            layer=flat[..., nm + m : nm + 2 * m],
+            bandwidth=flat[..., nm + 2 * m : nm + 3 * m],
+            error_bound=flat[..., nm + 3 * m :].reshape(shape),
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Iterate:
+    """Decisions, the exact tube that follows, and what they cost.
+
+    Attributes:
+        coefficients: of y*, ``(N + n + 1, m)``.
+        bandwidth: α at the knots, ``(N + 1, m)``.
+        reference: y* and derivatives on the half grid, ``(2 M + 1, n + 1, m)``.
+        tube: at the nodes of the fine grid.
+        local: at the knots.
+        controls: Bézier points of y*, ``(N, degree + 1, m)``.
+        tube_controls: Bézier points that bound Ω from above, same shape.
+        speed_margin: ``(N, n + 1, m, 2)``, both signs.
+        input_margin: ``(N + 1,)``.
+        cost: of the plan.
+    """
+
+    coefficients: Array
+    bandwidth: Array
+    reference: Array
+    tube: Tube
+    local: Local
+    controls: Array
+    tube_controls: Array
+    speed_margin: Array
+    input_margin: Array
+    cost: float
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+
+@dataclasses.dataclass(frozen=True)
+class Halfplanes:
+    """Separating half-planes of pieces and obstacles that are near each other.
+
+    Attributes:
+        piece, obstacle: indices, ``(P,)``.
+        normal: ν in the image of H, ``(P, rows)``.
+        margin: ν'(H y - p_c) - r_o - tube at every control point, ``(P, c)``.
+        tube_gradient: of the tube term in Ω, ``(P, c, m)``.
+        hull: the control points' offsets H y - p_c, ``(P, c, rows)``.
+    """
+
+    piece: Array
+    obstacle: Array
+    normal: Array
+    margin: Array
+    tube_gradient: Array
+    hull: Array
+
+
+class Transcription:
+    """One problem on one uniform grid of knots."""
+
+    def __init__(self, problem: Problem, intervals: int) -> None:
+        self.problem = problem
+        model = problem.model
+        self.order, self.outputs = model.order, model.num_outputs
+        self.intervals = intervals
+        self.step = problem.duration / intervals
+        self.degree = self.order + 1
+        self.control_degree = max(self.degree, 3)
+        self.knots = problem.start_time + self.step * np.arange(intervals + 1)
+        self.weights = np.full(intervals + 1, self.step)
+        self.weights[[0, -1]] /= 2
+        # A hair inside the limits, where interpolation cannot break them.
+        low, high = problem.bandwidth_min, problem.bandwidth_max
+        middle = (low + high) / 2
+        self.bandwidth_low = np.minimum(low * (1 + HAIR), middle)
+        self.bandwidth_high = np.maximum(high * (1 - HAIR), middle)
+        self.bandwidth_change = problem.bandwidth_rate_max * self.step * (1 - HAIR)
+        fine = np.arange(2 * TUBE_STEPS) / (2 * TUBE_STEPS)
+        self._half_basis = np.stack(
+            [
+                splines.basis(self.degree, k, fine, self.step)
+                for k in range(self.order + 1)
+            ]
+        )
+        self._end_basis = np.stack(
+            [
+                splines.basis(self.degree, k, np.ones(1), self.step)[0]
+                for k in range(self.order + 1)
+            ]
+        )
+        elevate = splines.elevation(self.degree, self.control_degree)
+        self.position_basis = elevate @ splines.control_basis(self.degree, 0, self.step)
+        self.speed_basis = splines.control_basis(self.degree, 1, self.step)
+        self._hermite_elevation = splines.elevation(3, self.control_degree)
+        self._fine = np.linspace(0, 1, TUBE_STEPS + 1)
+
+    # Decisions to iterate.
+
+    def straight_line(self) -> tuple[Array, Array]:
+        """The paper's start: a straight line, at the highest bandwidth.
+
+        It meets both end states, blends in as few knots as the spline needs,
+        and moves at constant speed between them.
+        """
+        p = self.problem
+        count = self.intervals + self.degree
+        # Greville abscissae reproduce linear functions exactly.
+        greville = (np.arange(count) - (self.degree - 1) / 2) / self.intervals
+        line = p.start[0] + greville[:, None] * (p.goal[0] - p.start[0])
+        at_start = self._end_conditions(0)
+        at_end = self._end_conditions(self.intervals)
+        conditions = np.vstack([at_start, at_end])
+        wanted = np.vstack([p.start, p.goal])
+        correction = np.linalg.lstsq(conditions, wanted - conditions @ line, rcond=None)
+        return line + correction[0], np.broadcast_to(
+            self.bandwidth_high, (self.intervals + 1, self.outputs)
+        ).copy()
+
+    def from_plan(self, plan: Plan) -> tuple[Array, Array]:
+        """The decisions nearest to an earlier plan, from now to its end."""
+        grid = self.knots[0] + self.step * np.arange(2 * self.intervals + 1) / 2
+        wanted = plan.reference(grid)[:, 0]
+        operator = splines.midpoint_operator(self.intervals, self.degree)
+        coefficients = scipy.sparse.linalg.spsolve(
+            (operator.T @ operator).tocsc(), operator.T @ wanted
+        )
+        bandwidth = self.feasible_bandwidth(plan.bandwidth(self.knots))
+        shape = (self.intervals + self.degree, self.outputs)
+        return np.asarray(coefficients).reshape(shape), bandwidth
+
+    def _end_conditions(self, knot: int) -> Array:
+        rows = np.zeros((self.order, self.intervals + self.degree))
+        for k in range(self.order):
+            start = splines.basis(self.degree, k, np.zeros(1), self.step)[0]
+            rows[k, knot : knot + self.degree] = start[: self.degree]
+        return rows
+
+    def feasible_bandwidth(self, bandwidth: Array) -> Array:
+        """The smallest α above the given one that obeys bounds and rate limit.
+
+        More bandwidth means a smaller tube, so nothing that was clear of an
+        obstacle is lost.
+        """
+        p = self.problem
+        alpha = np.clip(bandwidth, self.bandwidth_low, self.bandwidth_high)
+        index = np.arange(len(alpha))[:, None] * self.bandwidth_change
+        forward = np.maximum.accumulate(alpha + index) - index
+        backward = np.maximum.accumulate((alpha - index)[::-1])[::-1] + index
+        alpha = np.maximum(forward, backward)
+        if p.start_bandwidth is not None:
+            low, high = p.start_bandwidth - index, p.start_bandwidth + index
+            alpha = np.clip(alpha, low, high)
+        return np.asarray(alpha)
+
+    def evaluate(self, coefficients: Array, bandwidth: Array) -> Iterate:
+        """Propagates the exact tube and evaluates cost and constraints."""
+        p, n, N = self.problem, self.order, self.intervals
+        windows = splines.windows(coefficients, self.degree)
+        half = np.einsum("kfc,ncm->nfkm", self._half_basis, windows)
+        last = self._end_basis @ windows[-1]
+        reference = np.concatenate(
+            [half.reshape(-1, n + 1, self.outputs), last[None]]
+        )
+        weight = (np.arange(2 * TUBE_STEPS) / (2 * TUBE_STEPS))[:, None]
+        alpha = np.concatenate(
+            [
+                (
+                    bandwidth[:-1, None] * (1 - weight) + bandwidth[1:, None] * weight
+                ).reshape(-1, self.outputs),
+                bandwidth[-1:],
+            ]
+        )
+        tube = propagate(
+            model=p.model,
+            reference=reference[:, :n],
+            bandwidth=alpha,
+            slope=p.slope,
+            disturbance_bound=p.disturbance_bound,
+            reaching_rate=p.reaching_rate,
+            initial_boundary_layer=p.initial_boundary_layer,
+            initial_error=p.initial_error,
+            velocity_bound=p.velocity_bound,
+            step=self.step / TUBE_STEPS,
+        )
+        nodes = reference[::2]
+        gain = alpha[::2] * tube.boundary_layer
+        used_input = input_bound(
+            model=p.model,
+            reference=nodes[:, :n],
+            highest=nodes[:, n],
+            error_bound=tube.error_bound,
+            gain=gain,
+            slope=p.slope,
+        )
+        used_rate = rate_bound(
+            model=p.model,
+            reference=nodes[:, :n],
+            error_bound=tube.error_bound,
+            gain=gain,
+            disturbance_bound=p.disturbance_bound,
+        )
+        at_knots = slice(None, None, TUBE_STEPS)
+        local = Local(
+            state=nodes[at_knots, :n],
+            highest=nodes[at_knots, n],
+            layer=tube.boundary_layer[at_knots],
+            bandwidth=bandwidth,
+            error_bound=tube.error_bound[at_knots],
+        )
+        # Where the knots under-represent a piece, take off the difference.
+        bulge = self._bulge(used_input[:, None])[:, 0]
+        input_margin = p.input_limit * (1 - INPUT_HAIR) - used_input[at_knots]
+        input_margin[:-1] -= bulge
+        input_margin[1:] -= bulge
+        rate_chord = self._chord(used_rate[at_knots], n)
+        speed_controls = self.speed_basis @ windows
+        room = p.speed_limit - rate_chord - self._bulge(used_rate)[:, None]
+        speed_margin = np.stack([room - speed_controls, room + speed_controls], -1)
+        return Iterate(
+            coefficients=coefficients,
+            bandwidth=bandwidth,
+            reference=reference,
+            tube=tube,
+            local=local,
+            controls=self.position_basis @ windows,
+            tube_controls=self._tube_controls(tube),
+            speed_margin=speed_margin,
+            input_margin=input_margin,
+            cost=self._cost(local, bandwidth),
+        )
+
+    def _cost(self, local: Local, bandwidth: Array) -> float:
+        p = self.problem
+        u = self.feedforward(local)
+        excess = bandwidth - p.bandwidth_floor
+        running = p.input_weight * (u**2).sum(1)
+        running = running + p.bandwidth_weight * (excess**2).sum(1)
+        return float(self.weights @ running)
+
+    def _chord(self, at_knots: Array, degree: int) -> Array:
+        """Values on the straight lines between knots, ``(N, degree + 1, ...)``."""
+        weight = np.linspace(0, 1, degree + 1)[:, None]
+        return np.asarray(
+            at_knots[:-1, None] * (1 - weight) + at_knots[1:, None] * weight
+        )
+
+    def _bulge(self, nodes: Array) -> Array:
+        """How far each piece rises above its chord, ``(N, ...)``."""
+        chord = self._chord(nodes[::TUBE_STEPS], TUBE_STEPS)
+        return np.asarray((self._pieces(nodes) - chord).max(axis=1))
+
+    def _pieces(self, nodes: Array) -> Array:
+        """Node values piece by piece, both ends included."""
+        index = np.arange(self.intervals)[:, None] * TUBE_STEPS
+        return np.asarray(nodes[index + np.arange(TUBE_STEPS + 1)])
+
+    def _tube_controls(self, tube: Tube) -> Array:
+        """Bézier points of a curve above Ω on every piece."""
+        at = slice(None, None, TUBE_STEPS)
+        value, rate = tube.error_bound[at, 0], tube.error_bound_rate[at, 0]
+        points = hermite_controls(value, rate, self.step)
+        t = self._fine[:, None]
+        bernstein = np.concatenate(
+            [(1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t), t**3], axis=1
+        )
+        excess = self._pieces(tube.error_bound[:, 0]) - bernstein @ points
+        points = points + np.maximum(excess.max(axis=1), 0.0)[:, None]
+        return np.asarray(self._hermite_elevation @ points)
+
+    # What enters at one instant; generic in the scalar.
+
+    def feedforward(self, local: Local) -> Array:
+        """u* = B⁻¹ (y*^(n) - F̂(x*)), ``(..., m)``."""
+        model = self.problem.model
+        demand = local.highest - model.drift(local.state)
+        inverse = model.inverse_input_matrix(local.state)
+        return np.asarray((inverse * demand[..., None, :]).sum(axis=-1))
+
+    def used_input(self, local: Local) -> Array:
+        """The bound of the input's norm, ``(...)``."""
+        return input_bound(
+            model=self.problem.model,
+            reference=local.state,
+            highest=local.highest,
+            error_bound=local.error_bound,
+            gain=local.bandwidth * local.layer,
+            slope=self.problem.slope,
+        )
+
+    def used_rate(self, local: Local) -> Array:
+        """The bound of the velocity error, ``(..., m)``."""
+        return rate_bound(
+            model=self.problem.model,
+            reference=local.state,
+            error_bound=local.error_bound,
+            gain=local.bandwidth * local.layer,
+            disturbance_bound=self.problem.disturbance_bound,
+        )
+
+    @property
+    def has_velocity_state(self) -> bool:
+        """Whether W is a state of the programs (else it is Φ, or a cascade)."""
+        return self.order > 1 and self.problem.velocity_bound == "comparison"
+
+    # Obstacles.
+
+    def halfplanes(self, iterate: Iterate, reach: float) -> Halfplanes:
+        """The best separating half-plane of every near piece and obstacle.
+
+        Args:
+            iterate: gives the control points.
+            reach: pairs that are further apart than this are left out, in m.
+        """
+        obstacles = self.problem.obstacles
+        offsets = obstacles.offsets(iterate.controls).swapaxes(1, 2)
+        tube = iterate.tube_controls
+        # A cheap lower bound of the distance, to select the pairs.
+        middle = offsets.mean(axis=2, keepdims=True)
+        spread = np.linalg.norm(offsets - middle, axis=-1).max(axis=2)
+        bound = np.linalg.norm(middle[:, :, 0], axis=-1) - spread - obstacles.radius
+        radii = obstacles.tube_radii(tube.max(axis=1))
+        bound = bound - np.linalg.norm(radii, axis=-1)
+        piece, obstacle = np.nonzero(bound < reach)
+        hull, tube = offsets[piece, obstacle], tube[piece]
+        boxes = np.einsum("pij,pcj->pci", np.abs(obstacles.shape[obstacle]), tube)
+        normal = separating_normals(hull, np.linalg.norm(boxes, axis=-1))
+        if self.problem.tube_margin == "support":
+            # The size depends on the normal: a second pass settles it.
+            size = np.einsum("pci,pi->pc", boxes, np.abs(normal))
+            normal = separating_normals(hull, size)
+        return self.margins(iterate, piece, obstacle, normal)
+
+    def margins(
+        self, iterate: Iterate, piece: Array, obstacle: Array, normal: Array
+    ) -> Halfplanes:
+        """Margins of given half-planes at an iterate."""
+        obstacles = self.problem.obstacles
+        H = obstacles.shape[obstacle]
+        hull = np.einsum("pij,pcj->pci", H, iterate.controls[piece])
+        hull = hull - obstacles.center[obstacle][:, None]
+        tube = iterate.tube_controls[piece]
+        if self.problem.tube_margin == "norm":
+            boxes = np.einsum("pij,pcj->pci", np.abs(H), tube)
+            size = np.linalg.norm(boxes, axis=-1)
+            weight = boxes / np.maximum(size, 1e-9)[..., None]
+            gradient = np.einsum("pij,pci->pcj", np.abs(H), weight)
+        else:
+            support = np.abs(np.einsum("pij,pi->pj", H, normal))
+            gradient = np.broadcast_to(support[:, None], tube.shape)
+            size = (gradient * tube).sum(axis=-1)
+        along = np.einsum("pci,pi->pc", hull, normal)
+        margin = along - obstacles.radius[obstacle][:, None] - size
+        return Halfplanes(piece, obstacle, normal, margin, gradient, hull)
+
+    # Results.
+
+    def plan(self, iterate: Iterate) -> Plan:
+        """The plan that an iterate stands for."""
+        tube = iterate.tube
+        count = self.intervals * TUBE_STEPS
+        start, duration = self.problem.start_time, self.problem.duration
+        return Plan(
+            knots=self.knots,
+            coefficients=splines.piece_coefficients(
+                iterate.coefficients, self.degree, self.step
+            ),
+            bandwidth_knots=iterate.bandwidth,
+            tube_times=start + duration * np.arange(count + 1) / count,
+            layer_samples=np.stack(
+                [tube.boundary_layer, tube.boundary_layer_rate], axis=1
+            ),
+            bound_samples=tube.error_bound,
+            bound_rate_samples=tube.error_bound_rate,
+        )
+
+
+def hermite_controls(value: Array, rate: Array, step: float) -> Array:
+    """Bézier points of the cubic Hermite pieces between knots, ``(N, 4, m)``."""
+    return np.stack(
+        [
+            value[:-1],
+            value[:-1] + step / 3 * rate[:-1],
+            value[1:] - step / 3 * rate[1:],
+            value[1:],
+        ],
+        axis=1,
+    )
+
+
+def separating_normals(hull: Array, size: Array) -> Array:
+    """The half-planes that best part the origin from a hull of balls.
+
+    Maximises over unit vectors ν the least of ``ν'z_i - ρ_i``.  At the optimum
+    one ball is nearest, or a pair is touched together; all such candidates are
+    tried.  That is exact in the plane; elsewhere any unit vector is valid.
+
+    Args:
+        hull: centres z_i, ``(P, c, rows)``.
+        size: radii ρ_i, ``(P, c)``.
+
+    Returns:
+        ``(P, rows)``.
+    """
+    first, second = np.triu_indices(hull.shape[1], 1)
+    edge = hull[:, second] - hull[:, first]
+    length = np.maximum(np.linalg.norm(edge, axis=-1, keepdims=True), 1e-12)
+    edge /= length
+    sine = (size[:, second] - size[:, first])[..., None] / length
+    middle = (hull[:, first] + hull[:, second]) / 2
+    square = middle - (middle * edge).sum(-1, keepdims=True) * edge
+    distance = np.linalg.norm(square, axis=-1, keepdims=True)
+    # Through the very centre: step aside, always to the same side.
+    aside = np.zeros_like(edge)
+    if hull.shape[2] > 1:
+        aside[..., 0], aside[..., 1] = edge[..., 1], -edge[..., 0]
+    square = np.where(distance > 1e-6, square / np.maximum(distance, 1e-12), aside)
+    sine = np.clip(sine, -1.0, 1.0)
+    pairs = sine * edge + np.sqrt(1 - sine**2) * square
+    radial = hull / np.maximum(np.linalg.norm(hull, axis=-1, keepdims=True), 1e-12)
+    candidates = np.concatenate([pairs, radial], axis=1)
+    margins = candidates @ hull.swapaxes(1, 2) - size[:, None]
+    best = margins.min(axis=2).argmax(axis=1)
+    return np.asarray(candidates[np.arange(len(hull)), best])
+

@@ -1,0 +1,760 @@
+"""A whole experiment as typed dataclasses, with YAML in and out.
+
+Everything that a user may write in a scenario file is a field here, with its
+unit.  `load_scenario` reports bad input as one `ScenarioError` that names the
+field, the value and what is allowed, before anything is computed.
+"""
+
+import dataclasses
+import math
+import types
+import typing
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any, Union
+
+import numpy as np
+import yaml
+from pydrake.common.yaml import yaml_dump_typed, yaml_load_data, yaml_load_typed
+
+from dtmpc_drake.models import (
+    Array,
+    ConstantUncertainty,
+    DragDoubleIntegrator,
+    IntegratorChain,
+    Model,
+)
+from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Obstacle, ObstacleSet, Sphere
+from dtmpc_drake.sliding import sliding_variable
+from dtmpc_drake.tube import propagate
+
+SHIPPED = resources.files("dtmpc_drake") / "scenarios"
+
+# Drake's YAML reads tagged unions of the old spelling only.
+ModelConfig = Union[DragDoubleIntegrator, IntegratorChain]  # noqa: UP007
+
+
+class ScenarioError(ValueError):
+    """Bad input: one line that names the field, the value and what is allowed."""
+
+    def __init__(self, field: str, value: Any, allowed: str) -> None:
+        self.field, self.value, self.allowed = field, value, allowed
+        super().__init__(f"{field}: got {_show(value)}, but it must be {allowed}")
+
+
+def _show(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_show(v) for v in value) + "]"
+    return repr(value)
+
+
+def _three(value: float) -> Any:
+    return dataclasses.field(default_factory=lambda: [value] * 3)
+
+
+@dataclasses.dataclass
+class UniformHold:
+    """A disturbance drawn uniformly from its bounds, held, and redrawn.
+
+    Attributes:
+        bound: D on every output, in m/s².
+        hold: how long a value is kept, in s.
+    """
+
+    bound: list[float] = _three(0.5)
+    hold: float = 0.05
+
+
+@dataclasses.dataclass
+class Constant:
+    """A constant disturbance at a fraction of the bound.
+
+    Attributes:
+        bound: D on every output, in m/s².
+        fraction: of the bound, in [-1, 1].
+    """
+
+    bound: list[float] = _three(0.5)
+    fraction: float = 1.0
+
+
+@dataclasses.dataclass
+class BangBang:
+    """A disturbance that jumps between -D and D at random.
+
+    Attributes:
+        bound: D on every output, in m/s².
+        hold: how long a sign is kept, in s.
+    """
+
+    bound: list[float] = _three(0.5)
+    hold: float = 0.5
+
+
+@dataclasses.dataclass
+class WorstCase:
+    """A disturbance that pushes along the sliding variable, away from the plan.
+
+    Attributes:
+        bound: D on every output, in m/s².
+    """
+
+    bound: list[float] = _three(0.5)
+
+
+@dataclasses.dataclass
+class ColoredWind:
+    """Filtered white noise, clipped to the bound.
+
+    Attributes:
+        bound: D on every output, in m/s².
+        correlation_time: of the first-order filter, in s.
+        intensity: standard deviation before clipping, as a fraction of D.
+    """
+
+    bound: list[float] = _three(0.5)
+    correlation_time: float = 0.5
+    intensity: float = 0.5
+
+
+Disturbance = Union[UniformHold, Constant, BangBang, WorstCase, ColoredWind]  # noqa: UP007
+
+
+@dataclasses.dataclass
+class Bandwidth:
+    """The control bandwidth α.
+
+    Attributes:
+        min: in rad/s.
+        max: in rad/s.
+        rate_max: the bound of abs(dα/dt), in rad/s².
+        fixed: if given, α is this constant instead of a decision, in rad/s.
+    """
+
+    min: float = 0.5
+    max: float = 4.0
+    rate_max: float = 2.0
+    fixed: float | None = None
+
+
+@dataclasses.dataclass
+class Controller:
+    """The boundary-layer sliding controller.
+
+    Attributes:
+        slope: λ of the sliding surface on every output, in 1/s.
+        reaching_rate: η, in m/s².
+        initial_boundary_layer: Φ(t0), in m/s.
+        bandwidth: bounds of α.
+    """
+
+    slope: list[float] = _three(2.0)
+    reaching_rate: float = 0.1
+    initial_boundary_layer: float = 0.3
+    bandwidth: Bandwidth = dataclasses.field(default_factory=Bandwidth)
+
+
+@dataclasses.dataclass
+class Limits:
+    """What the vehicle may do.
+
+    Attributes:
+        input: u_m, the bound of the norm of u, in m/s².
+        speed: the bound of the speed along every axis, in m/s.
+    """
+
+    input: float = 5.0
+    speed: float = 2.5
+
+
+@dataclasses.dataclass
+class Cost:
+    """Weights of the running cost uᵀQu + α̃ᵀRα̃ with α̃ = α - α_min.
+
+    Attributes:
+        input: Q, times the identity.
+        bandwidth: R, times the identity.
+    """
+
+    input: float = 2.0
+    bandwidth: float = 0.1
+
+
+@dataclasses.dataclass
+class Waypoint:
+    """A state of the reference; derivatives that are left out are zero.
+
+    Attributes:
+        position: in m.
+        velocity: in m/s.
+        acceleration: in m/s², for models of order three.
+    """
+
+    position: list[float] = _three(0.0)
+    velocity: list[float] | None = None
+    acceleration: list[float] | None = None
+
+
+@dataclasses.dataclass
+class Planner:
+    """How the plan is computed.
+
+    Attributes:
+        backend: ``clarabel`` (sequential convex programming) or ``ipopt``.
+        intervals: N, the number of polynomial pieces.
+        tube_margin: ``norm`` (the paper's) or ``support`` (tighter).
+        velocity_bound: ``comparison`` (tighter) or ``paper``.
+        uncertainty: ``state_dependent``, or ``constant`` for the supremum of Δ
+            at the speed limit.
+        max_iterations: of the sequential convex program.
+    """
+
+    backend: str = "clarabel"
+    intervals: int = 56
+    tube_margin: str = "norm"
+    velocity_bound: str = "comparison"
+    uncertainty: str = "state_dependent"
+    max_iterations: int = 40
+
+
+@dataclasses.dataclass
+class Simulation:
+    """How the diagram is simulated.
+
+    Attributes:
+        integration_scheme: a name that Drake's ``SimulatorConfig`` takes.
+        max_step_size: in s.
+        seed: of everything random.
+    """
+
+    integration_scheme: str = "runge_kutta3"
+    max_step_size: float = 0.01
+    seed: int = 0
+
+
+@dataclasses.dataclass
+class Scenario:
+    """A whole experiment.
+
+    Attributes:
+        name: also the name of the output directory.
+        model: what the planner and the controller know.
+        plant: parameters of the true plant, by name; those left out are at the
+            middle of what the model allows.
+        disturbance: what acts on the plant, and its bound D.
+        controller: the sliding controller.
+        limits: of input and speed.
+        cost: weights.
+        start: of the reference.
+        goal: of the reference, at the end.
+        initial_error: of the plant, relative to the start of the reference.
+        duration: in s.
+        obstacles: any mix of shapes.
+        planner: how the plan is computed.
+        simulation: how the diagram is simulated.
+    """
+
+    name: str = "scenario"
+    model: ModelConfig = dataclasses.field(default_factory=DragDoubleIntegrator)
+    plant: dict[str, float] = dataclasses.field(default_factory=dict)
+    disturbance: Disturbance = dataclasses.field(default_factory=UniformHold)
+    controller: Controller = dataclasses.field(default_factory=Controller)
+    limits: Limits = dataclasses.field(default_factory=Limits)
+    cost: Cost = dataclasses.field(default_factory=Cost)
+    start: Waypoint = dataclasses.field(default_factory=Waypoint)
+    goal: Waypoint = dataclasses.field(
+        default_factory=lambda: Waypoint(position=[0.0, 10.0, 0.0])
+    )
+    initial_error: Waypoint | None = None
+    duration: float = 10.0
+    obstacles: list[Obstacle] = dataclasses.field(default_factory=list)
+    planner: Planner = dataclasses.field(default_factory=Planner)
+    simulation: Simulation = dataclasses.field(default_factory=Simulation)
+
+    # What the mathematics wants, derived from the fields.
+
+    def planning_model(self) -> Model:
+        """The model as the planner and the controller use it."""
+        model: Model = self.model
+        if self.planner.uncertainty == "constant":
+            return ConstantUncertainty(
+                model, model.constant_model_error_bound(self.limits.speed)
+            )
+        return model
+
+    def obstacle_set(self) -> ObstacleSet:
+        """The obstacles as stacked arrays."""
+        return ObstacleSet.stack(self.obstacles, self.model.num_outputs)
+
+    def disturbance_bound(self) -> Array:
+        """D, shape ``(m,)``."""
+        return np.array(self.disturbance.bound, dtype=float)
+
+    def slope(self) -> Array:
+        """λ, shape ``(m,)``."""
+        return np.array(self.controller.slope, dtype=float)
+
+    def initial_boundary_layer(self) -> Array:
+        """Φ(t0), shape ``(m,)``."""
+        return np.full(self.model.num_outputs, self.controller.initial_boundary_layer)
+
+    def start_state(self) -> Array:
+        """x*(t0), shape ``(n, m)``."""
+        return self._state(self.start)
+
+    def goal_state(self) -> Array:
+        """x*(t_f), shape ``(n, m)``."""
+        return self._state(self.goal)
+
+    def initial_error_state(self) -> Array:
+        """x̃(t0), shape ``(n, m)``."""
+        if self.initial_error is None:
+            return np.zeros((self.model.order, self.model.num_outputs))
+        return self._state(self.initial_error)
+
+    def plant_parameters(self) -> dict[str, float]:
+        """Every parameter of the true plant."""
+        middle = {
+            name: sum(self.model.parameter_interval(name)) / 2
+            for name in self.model.parameter_names
+        }
+        return middle | self.plant
+
+    def _state(self, waypoint: Waypoint) -> Array:
+        rows = [waypoint.position, waypoint.velocity, waypoint.acceleration]
+        state = np.zeros((self.model.order, self.model.num_outputs))
+        for k, row in enumerate(rows[: self.model.order]):
+            if row is not None:
+                state[k] = row
+        return state
+
+    # Validation.
+
+    def validate(self) -> None:
+        """Checks every field and what they say together.
+
+        Raises:
+            ScenarioError: at the first thing that is wrong.
+        """
+        _check_numbers(self, "")
+        self._check_sizes()
+        self._check_ranges()
+        self._check_together()
+
+    def _check_sizes(self) -> None:
+        m, n = self.model.num_outputs, self.model.order
+        _require("model.num_outputs", m, m >= 1, "at least 1")
+        _require("model.order", n, n >= 1, "at least 1")
+        lists = {
+            "disturbance.bound": self.disturbance.bound,
+            "controller.slope": self.controller.slope,
+        }
+        for end in ("start", "goal", "initial_error"):
+            waypoint = getattr(self, end)
+            if waypoint is None:
+                continue
+            for k, field in enumerate(("position", "velocity", "acceleration")):
+                row = getattr(waypoint, field)
+                if row is None:
+                    continue
+                _require(
+                    f"{end}.{field}",
+                    row,
+                    k < n,
+                    f"left out: the model is of order {n}",
+                )
+                lists[f"{end}.{field}"] = row
+        for i, obstacle in enumerate(self.obstacles):
+            name = f"obstacles[{i}]"
+            if isinstance(obstacle, Cylinder):
+                ok = len(obstacle.center) == 2 and m >= 2
+                _require(f"{name}.center", obstacle.center, ok, "2 numbers (x, y in m)")
+            else:
+                lists[f"{name}.center"] = obstacle.center
+            if isinstance(obstacle, Ellipsoid):
+                H = obstacle.shape
+                ok = len(H) >= 1 and all(len(row) == m for row in H)
+                _require(f"{name}.shape", H, ok, f"rows of {m} numbers each")
+                _require(
+                    f"{name}.shape", H, bool(np.any(H)), "a matrix that is not zero"
+                )
+        for field, value in lists.items():
+            _require(
+                field, value, len(value) == m, f"{m} numbers, one for each output"
+            )
+
+    def _check_ranges(self) -> None:
+        c, b = self.controller, self.controller.bandwidth
+        positive = {
+            "duration": (self.duration, "s"),
+            "limits.input": (self.limits.input, "m/s²"),
+            "limits.speed": (self.limits.speed, "m/s"),
+            "controller.reaching_rate": (c.reaching_rate, "m/s²"),
+            "controller.initial_boundary_layer": (c.initial_boundary_layer, "m/s"),
+            "controller.bandwidth.min": (b.min, "rad/s"),
+            "controller.bandwidth.rate_max": (b.rate_max, "rad/s²"),
+            "simulation.max_step_size": (self.simulation.max_step_size, "s"),
+        }
+        for i, slope in enumerate(c.slope):
+            positive[f"controller.slope[{i}]"] = (slope, "1/s")
+        for i, obstacle in enumerate(self.obstacles):
+            positive[f"obstacles[{i}].radius"] = (obstacle.radius, "m")
+        for name in ("hold", "correlation_time"):
+            if hasattr(self.disturbance, name):
+                positive[f"disturbance.{name}"] = (getattr(self.disturbance, name), "s")
+        for field, (value, unit) in positive.items():
+            _require(field, value, value > 0, f"greater than 0 {unit}")
+        for i, bound in enumerate(self.disturbance.bound):
+            field = f"disturbance.bound[{i}]"
+            _require(field, bound, bound >= 0, "at least 0 m/s²")
+        if isinstance(self.disturbance, Constant):
+            f = self.disturbance.fraction
+            _require("disturbance.fraction", f, abs(f) <= 1, "in [-1, 1]")
+        if isinstance(self.disturbance, ColoredWind):
+            f = self.disturbance.intensity
+            _require("disturbance.intensity", f, f >= 0, "at least 0")
+        for name in ("input", "bandwidth"):
+            weight = getattr(self.cost, name)
+            _require(f"cost.{name}", weight, weight >= 0, "at least 0")
+        for name in ("drag_estimate", "drag_error_bound", "error_bound"):
+            value = getattr(self.model, name, 0.0)
+            _require(f"model.{name}", value, value >= 0, "at least 0")
+        seed = self.simulation.seed
+        _require("simulation.seed", seed, 0 <= seed < 2**32, "in [0, 2^32)")
+        N = self.planner.intervals
+        low = 2 * self.model.order + 2
+        _require(
+            "planner.intervals", N, low <= N <= 1000, f"a whole number in [{low}, 1000]"
+        )
+        iterations = self.planner.max_iterations
+        _require("planner.max_iterations", iterations, iterations >= 1, "at least 1")
+        choices = {
+            "planner.backend": ("clarabel", "ipopt"),
+            "planner.tube_margin": ("norm", "support"),
+            "planner.velocity_bound": ("comparison", "paper"),
+            "planner.uncertainty": ("state_dependent", "constant"),
+            "simulation.integration_scheme": _integration_schemes(),
+        }
+        for field, allowed in choices.items():
+            section, name = field.split(".")
+            value = getattr(getattr(self, section), name)
+            _require(field, value, value in allowed, "one of " + ", ".join(allowed))
+        name_ok = bool(self.name) and not set(self.name) & set("/\\\0")
+        _require("name", self.name, name_ok, "a file name, without slashes")
+        for name in self.plant:
+            allowed = ", ".join(self.model.parameter_names) or "nothing"
+            known = name in self.model.parameter_names
+            _require(f"plant.{name}", self.plant[name], known, f"one of: {allowed}")
+
+    def _check_together(self) -> None:
+        b, speed = self.controller.bandwidth, self.limits.speed
+        _require(
+            "controller.bandwidth.min",
+            b.min,
+            b.min <= b.max,
+            f"at most controller.bandwidth.max = {b.max:g} rad/s",
+        )
+        if b.fixed is not None:
+            _require(
+                "controller.bandwidth.fixed",
+                b.fixed,
+                b.min <= b.fixed <= b.max,
+                f"in [{b.min:g}, {b.max:g}] rad/s, the bandwidth's min and max",
+            )
+        for name, value in self.plant.items():
+            low, high = self.model.parameter_interval(name)
+            tolerance = 1e-9 * max(1.0, abs(low), abs(high))
+            _require(
+                f"plant.{name}",
+                value,
+                low - tolerance <= value <= high + tolerance,
+                f"in [{low:g}, {high:g}], which the model's error bound covers",
+            )
+        if self.planner.uncertainty == "constant":
+            try:
+                self.planning_model()
+            except NotImplementedError as error:
+                raise ScenarioError(
+                    "planner.uncertainty", "constant", f"state_dependent: {error}"
+                ) from None
+        start, goal = self.start_state(), self.goal_state()
+        if self.model.order > 1:
+            for end, state in (("start", start), ("goal", goal)):
+                _require(
+                    f"{end}.velocity",
+                    state[1],
+                    bool((np.abs(state[1]) <= speed).all()),
+                    f"at most limits.speed = {speed:g} m/s along every axis",
+                )
+        shortest = float(np.abs(goal[0] - start[0]).max()) / speed
+        _require(
+            "duration",
+            self.duration,
+            self.duration >= shortest,
+            f"at least {shortest:.4g} s: the goal is that far at the speed limit",
+        )
+        s = sliding_variable(self.initial_error_state(), self.slope())
+        layer = self.controller.initial_boundary_layer
+        _require(
+            "initial_error",
+            np.abs(s),
+            bool((np.abs(s) <= layer).all()),
+            f"so small that |s(t0)| is at most the initial boundary layer, {layer:g}"
+            " m/s (the values are |s(t0)|)",
+        )
+        obstacles = self.obstacle_set()
+        ends = {
+            "start.position": (start[0], np.abs(self.initial_error_state()[0])),
+            "goal.position": (goal[0], self._smallest_final_tube()),
+        }
+        for field, (position, tube) in ends.items():
+            clearance = obstacles.clearance(position, tube, self.planner.tube_margin)
+            for i in np.flatnonzero(clearance < 0)[:1]:
+                _require(
+                    field,
+                    position,
+                    False,
+                    f"outside obstacles[{i}], tube included: it is"
+                    f" {-clearance[i]:.3g} m too close (tube {_show(tube.round(3))} m)",
+                )
+
+    def _smallest_final_tube(self) -> Array:
+        """Ω(t_f) at the highest bandwidth and without model error: no plan's is
+        smaller."""
+        b = self.controller.bandwidth
+        m, n, half = self.model.num_outputs, self.model.order, 401
+        # After ten time constants nothing is left of the start.
+        rates = [*self.controller.slope, b.max]
+        span = min(self.duration, 10 * n / min(rates))
+        tube = propagate(
+            model=IntegratorChain(m, n, 0.0),
+            reference=np.zeros((half, n, m)),
+            bandwidth=np.full((half, m), b.fixed or b.max),
+            slope=self.slope(),
+            disturbance_bound=self.disturbance_bound(),
+            reaching_rate=self.controller.reaching_rate,
+            initial_boundary_layer=self.initial_boundary_layer(),
+            initial_error=self.initial_error_state(),
+            velocity_bound="paper",
+            step=2 * span / (half - 1),
+        )
+        return np.asarray(tube.error_bound[-1, 0])
+
+    def to_yaml(self) -> str:
+        """The scenario as a file that `load_scenario` reads."""
+        return str(yaml_dump_typed(self, schema=Scenario))
+
+    def __repr__(self) -> str:
+        """Names what a reader wants to know first."""
+        return (
+            f"Scenario({self.name!r}: {type(self.model).__name__}, "
+            f"{len(self.obstacles)} obstacles, {self.duration:g} s, "
+            f"{type(self.disturbance).__name__} disturbance, "
+            f"{self.planner.backend} with {self.planner.intervals} intervals)"
+        )
+
+
+def _require(field: str, value: Any, ok: bool, allowed: str) -> None:
+    if not ok:
+        raise ScenarioError(field, value, allowed)
+
+
+def _integration_schemes() -> tuple[str, ...]:
+    from pydrake.systems.analysis import GetIntegrationSchemes
+
+    return tuple(GetIntegrationSchemes())
+
+
+def _check_numbers(value: Any, path: str) -> None:
+    """Every float in the scenario must be finite."""
+    if isinstance(value, bool) or value is None:
+        return
+    if isinstance(value, (float, int)):
+        _require(path, value, math.isfinite(value), "a finite number")
+    elif dataclasses.is_dataclass(value):
+        for field in dataclasses.fields(value):
+            _check_numbers(getattr(value, field.name), _join(path, field.name))
+    elif isinstance(value, Mapping):
+        for key, item in value.items():
+            _check_numbers(item, _join(path, key))
+    elif isinstance(value, (list, tuple, np.ndarray)):
+        for i, item in enumerate(value):
+            _check_numbers(item, f"{path}[{i}]")
+
+
+def _join(path: str, name: str) -> str:
+    return f"{path}.{name}" if path else name
+
+
+# Reading files.
+
+
+def shipped_scenarios() -> list[str]:
+    """Names of the scenarios that come with the package."""
+    return sorted(
+        entry.name.removesuffix(".yaml")
+        for entry in SHIPPED.iterdir()
+        if entry.name.endswith(".yaml")
+    )
+
+
+def load_scenario(source: str | Path) -> Scenario:
+    """Loads and validates a scenario.
+
+    Args:
+        source: the name of a shipped scenario, or the path of a YAML file.
+
+    Raises:
+        ScenarioError: if there is no such scenario, or anything in it is wrong.
+    """
+    if str(source) in shipped_scenarios():
+        text = (SHIPPED / f"{source}.yaml").read_text(encoding="utf-8")
+    else:
+        try:
+            text = Path(source).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or "not a text file"
+            names = ", ".join(shipped_scenarios())
+            raise ScenarioError(
+                "scenario",
+                str(source),
+                f"a file ({reason}) or one of: {names}",
+            ) from None
+    return parse_scenario(text)
+
+
+def parse_scenario(text: str) -> Scenario:
+    """Builds and validates a scenario from YAML text; errors as `load_scenario`."""
+    try:
+        data = yaml_load_data(text)
+    except (yaml.YAMLError, AttributeError, TypeError) as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f"line {mark.line + 1}" if mark else "the file"
+        what = getattr(error, "problem", None) or "not a mapping of fields"
+        raise ScenarioError(where, what, "valid YAML") from None
+    data = _checked(Scenario, data, "")
+    scenario: Scenario = yaml_load_typed(
+        schema=Scenario, data=yaml.dump(data, Dumper=_TagDumper)
+    )
+    scenario.validate()
+    return scenario
+
+
+class _TagDumper(yaml.SafeDumper):
+    """Writes the ``_tag`` entries of Drake's reader back as YAML tags."""
+
+
+def _represent_mapping(dumper: yaml.SafeDumper, data: dict[str, Any]) -> yaml.Node:
+    tag = data.get("_tag", "tag:yaml.org,2002:map")
+    rest = {k: v for k, v in data.items() if k != "_tag"}
+    return dumper.represent_mapping(tag, rest)
+
+
+_TagDumper.add_representer(dict, _represent_mapping)
+
+
+def _checked(schema: Any, value: Any, path: str) -> Any:
+    """The value with every type checked against the schema, defaults untouched.
+
+    Drake's reader does the same, but its errors do not say where they are.
+    """
+    origin, args = typing.get_origin(schema), typing.get_args(schema)
+    if origin in (Union, types.UnionType):
+        if value is None and type(None) in args:
+            return None
+        options = [a for a in args if a is not type(None)]
+        if len(options) > 1:
+            return _checked_union(options, value, path)
+        return _checked(options[0], value, path)
+    if origin is list:
+        if not isinstance(value, list):
+            raise ScenarioError(path, value, "a list")
+        return [_checked(args[0], v, f"{path}[{i}]") for i, v in enumerate(value)]
+    if origin is dict:
+        if not isinstance(value, Mapping):
+            raise ScenarioError(path, value, "a mapping of names to values")
+        return {k: _checked(args[1], v, _join(path, str(k))) for k, v in value.items()}
+    if dataclasses.is_dataclass(schema):
+        return _checked_fields(schema, value, path)
+    if schema is float and isinstance(value, str):
+        try:  # YAML 1.1 reads 1e-3 as text
+            value = float(value)
+        except ValueError:
+            raise ScenarioError(path, value, "a number") from None
+    kinds = {float: (float, int), int: (int,), str: (str,), bool: (bool,)}
+    names = {float: "a number", int: "a whole number", str: "text", bool: "true/false"}
+    wrong_bool = isinstance(value, bool) and schema is not bool
+    if not isinstance(value, kinds[schema]) or wrong_bool:
+        raise ScenarioError(path, value, names[schema])
+    return float(value) if schema is float else value
+
+
+def _checked_union(options: list[Any], value: Any, path: str) -> Any:
+    names = ", ".join(f"!{o.__name__}" for o in options)
+    if not isinstance(value, Mapping):
+        raise ScenarioError(path, value, f"one of {names}, with its fields")
+    tag = value.get("_tag", f"!{options[0].__name__}")
+    for option in options:
+        if tag == f"!{option.__name__}":
+            rest = {k: v for k, v in value.items() if k != "_tag"}
+            return {"_tag": tag} | _checked_fields(option, rest, path)
+    raise ScenarioError(path, tag, f"one of {names}")
+
+
+# Without these a scenario would say too little to be anybody's intention.
+_REQUIRED = {
+    "": ("start", "goal", "duration"),
+    "start": ("position",),
+    "goal": ("position",),
+}
+
+
+def _checked_fields(schema: Any, value: Any, path: str) -> dict[str, Any]:
+    if not isinstance(value, Mapping):
+        raise ScenarioError(path or "scenario", value, "a mapping of fields")
+    hints = typing.get_type_hints(schema)
+    fields = {f.name: hints[f.name] for f in dataclasses.fields(schema)}
+    for key, item in value.items():
+        if key not in fields:
+            allowed = ", ".join(fields) or "empty"
+            raise ScenarioError(
+                _join(path, str(key)), item, f"left out; the fields here are {allowed}"
+            )
+    required = _REQUIRED.get(path, ())
+    if path.startswith("obstacles["):
+        required = ("center", "radius")
+    for key in required:
+        if key not in value:
+            raise ScenarioError(_join(path, key), None, "given: it is missing")
+    return {k: _checked(fields[k], v, _join(path, k)) for k, v in value.items()}
+
+
+__all__ = [
+    "BangBang",
+    "Bandwidth",
+    "ColoredWind",
+    "Constant",
+    "Controller",
+    "Cost",
+    "Cylinder",
+    "Disturbance",
+    "Ellipsoid",
+    "Limits",
+    "ModelConfig",
+    "Planner",
+    "Scenario",
+    "ScenarioError",
+    "Simulation",
+    "Sphere",
+    "UniformHold",
+    "Waypoint",
+    "WorstCase",
+    "load_scenario",
+    "parse_scenario",
+    "shipped_scenarios",
+]

@@ -1,0 +1,110 @@
+"""Boundary-layer sliding control (the paper's section IV): pure functions.
+
+Shapes: an error or a reference has shape ``(..., n, m)`` with the derivatives
+along the last but one axis; slope, gain and layer have shape ``(..., m)``.
+"""
+
+from __future__ import annotations
+
+from math import comb
+
+import numpy as np
+from pydrake.math import max as drake_max
+from pydrake.math import min as drake_min
+
+from dtmpc_drake.models import Array, Model
+
+
+def surface_coefficients(slope: Array, order: int) -> Array:
+    """c_k = C(n-1, k) λ^(n-1-k), so that s = Σ_k c_k ỹ^(k)  (eq. s).
+
+    Args:
+        slope: λ, shape ``(..., m)``, in 1/s.
+        order: n.
+
+    Returns:
+        Shape ``(..., n, m)``; the last row is one.
+    """
+    return np.stack(
+        [comb(order - 1, k) * slope ** (order - 1 - k) for k in range(order)], axis=-2
+    )
+
+
+def sliding_variable(error: Array, slope: Array) -> Array:
+    """s = (d/dt + λ)^(n-1) ỹ  (eq. s), shape ``(..., m)``."""
+    order = error.shape[-2]
+    return np.asarray((surface_coefficients(slope, order) * error).sum(axis=-2))
+
+
+def saturation(value: Array) -> Array:
+    """sat: the identity on [-1, 1], constant outside; generic in the scalar."""
+    if value.dtype != object:
+        return np.clip(value, -1.0, 1.0)
+    flat = [drake_max(drake_min(v, v * 0 + 1.0), v * 0 - 1.0) for v in value.flat]
+    return np.array(flat, dtype=object).reshape(value.shape)
+
+
+def switching_gain(
+    *,
+    model_error_bound: Array,
+    disturbance_bound: Array,
+    reaching_rate: float,
+    boundary_layer_rate: Array,
+) -> Array:
+    """K(x) = Δ(x) + D + η - dΦ*/dt  (eq. K), in output unit / s^n."""
+    return np.asarray(
+        model_error_bound + disturbance_bound + reaching_rate - boundary_layer_rate
+    )
+
+
+def bandwidth(*, gain: Array, boundary_layer: Array) -> Array:
+    """α = K(x*) / Φ*: the bandwidth that the layer implies (eq. phidot), rad/s."""
+    return np.asarray(gain / boundary_layer)
+
+
+def control(
+    *,
+    model: Model,
+    state: Array,
+    reference: Array,
+    boundary_layer: Array,
+    boundary_layer_rate: Array,
+    slope: Array,
+    disturbance_bound: Array,
+    reaching_rate: float,
+) -> Array:
+    """The tracking control law u  (eq. u, in the form of eq. uff).
+
+    Args:
+        model: gives F̂, B⁻¹ and Δ.
+        state: x, shape ``(..., n, m)``.
+        reference: y* and its derivatives up to the n-th, ``(..., n + 1, m)``.
+        boundary_layer: Φ*, ``(..., m)``.
+        boundary_layer_rate: the exact dΦ*/dt, ``(..., m)``.
+        slope: λ, ``(m,)``.
+        disturbance_bound: D, ``(m,)``.
+        reaching_rate: η.
+
+    Returns:
+        u, shape ``(..., m)``.
+    """
+    order = model.order
+    error = state - reference[..., :order, :]
+    coefficients = surface_coefficients(slope, order)
+    # y_r^(n) = y*^(n) - Σ_{k=1}^{n-1} C(n-1, k-1) λ^(n-k) ỹ^(k)
+    damping = (coefficients[..., :-1, :] * error[..., 1:, :]).sum(axis=-2)
+    gain = switching_gain(
+        model_error_bound=model.model_error_bound(state),
+        disturbance_bound=disturbance_bound,
+        reaching_rate=reaching_rate,
+        boundary_layer_rate=boundary_layer_rate,
+    )
+    s = sliding_variable(error, slope)
+    demand = (
+        reference[..., order, :]
+        - model.drift(state)
+        - damping
+        - gain * saturation(s / boundary_layer)
+    )
+    inverse = model.inverse_input_matrix(state)
+    return np.asarray((inverse * demand[..., None, :]).sum(axis=-1))

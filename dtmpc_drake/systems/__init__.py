@@ -1,0 +1,23 @@
+"""Drake systems of the closed loop: thin shells around the pure functions."""
+
+from dtmpc_drake.systems.disturbance import MakeDisturbance
+from dtmpc_drake.systems.dtmpc_planner import DtmpcPlanner, hold_plan
+from dtmpc_drake.systems.plant import Plant, Plant_
+from dtmpc_drake.systems.relay import Relay
+from dtmpc_drake.systems.sliding_error import SlidingError
+from dtmpc_drake.systems.tracker import SlidingModeTracker, SlidingModeTracker_
+from dtmpc_drake.systems.tube_monitor import TubeMonitor, tube_ratios
+
+__all__ = [
+    "DtmpcPlanner",
+    "MakeDisturbance",
+    "Plant",
+    "Plant_",
+    "Relay",
+    "SlidingModeTracker",
+    "SlidingModeTracker_",
+    "TubeMonitor",
+    "SlidingError",
+    "hold_plan",
+    "tube_ratios",
+]

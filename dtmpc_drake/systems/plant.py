@@ -1,0 +1,140 @@
+"""The true plant: y^(n) = F(x) + B(x) u + d."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from pydrake.systems.framework import (
+    BasicVector_,
+    ContinuousStateIndex,
+    LeafSystem_,
+)
+from pydrake.systems.scalar_conversion import TemplateSystem
+
+from dtmpc_drake.models import Array, Model
+
+
+@TemplateSystem.define("Plant_")
+def Plant_(T: Any) -> Any:
+    """`Plant` for the scalar type T."""
+
+    class Impl(LeafSystem_[T]):
+        """A model with its true parameters, as a continuous-time plant.
+
+        .. pydrake_system::
+
+            name: Plant
+            input_ports:
+            - control
+            - disturbance
+            output_ports:
+            - state
+
+        The state is the flattened ``(n, m)`` array of the models: all outputs
+        first, then their first derivatives, and so on.  `control` is u and
+        `disturbance` is d, both ``(m,)``.
+
+        The parameters that only the true plant knows (such as its drag) are
+        one numeric parameter vector of the Context; see `SetParameters`.  The
+        plant supports double, AutoDiffXd and Expression.
+        """
+
+        def _construct(
+            self,
+            *,
+            model: Model,
+            parameters: Mapping[str, float] | None = None,
+            initial_state: Array | None = None,
+            converter: Any = None,
+        ) -> None:
+            """Constructs a plant.
+
+            Args:
+                model: gives F, B and the names of the parameters.
+                parameters: defaults by name; those left out are at the middle
+                    of what the model allows.
+                initial_state: default x(t0), ``(n, m)``; zero if left out.
+                converter: for scalar conversion, set by Drake.
+
+            Raises:
+                KeyError: if the model has no such parameter.
+            """
+            LeafSystem_[T].__init__(self, converter=converter)
+            self._model = model
+            self._shape = (model.order, model.num_outputs)
+            middle = {
+                name: sum(model.parameter_interval(name)) / 2
+                for name in model.parameter_names
+            }
+            self._defaults = middle | self._checked(parameters or {})
+            if initial_state is None:
+                initial_state = np.zeros(self._shape)
+            self._initial_state = np.asarray(initial_state).reshape(self._shape)
+            self._control = self.DeclareVectorInputPort("control", self._shape[1])
+            self._disturbance = self.DeclareVectorInputPort(
+                "disturbance", self._shape[1]
+            )
+            state = self.DeclareContinuousState(_vector(self._initial_state.ravel()))
+            if self._defaults:
+                self.DeclareNumericParameter(_vector(list(self._defaults.values())))
+            # A state output has no feedthrough, so that loops may close over it.
+            self.DeclareStateOutputPort("state", ContinuousStateIndex(state))
+
+        def _construct_copy(self, other: Any, converter: Any = None) -> None:
+            Impl._construct(
+                self,
+                model=other._model,
+                parameters=other._defaults,
+                initial_state=other._initial_state,
+                converter=converter,
+            )
+
+        def SetParameters(self, context: Any, parameters: Mapping[str, Any]) -> None:
+            """Sets true parameters by name in this plant's Context.
+
+            Raises:
+                KeyError: if the model has no such parameter.
+            """
+            values = self._parameters(context) | self._checked(parameters)
+            context.get_mutable_numeric_parameter(0).SetFromVector(
+                np.array([T(v) for v in values.values()])
+            )
+
+        def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
+            """Each row's derivative is the next row, the last one's y^(n)."""
+            x = context.get_continuous_state_vector().CopyToVector()
+            x = x.reshape(self._shape)
+            u = self._control.Eval(context)
+            highest = (
+                self._model.true_drift(x, self._parameters(context))
+                + self._model.input_matrix(x) @ u
+                + self._disturbance.Eval(context)
+            )
+            rates = np.concatenate([x[1:], highest[None]])
+            derivatives.get_mutable_vector().SetFromVector(rates.ravel())
+
+        def _parameters(self, context: Any) -> dict[str, Any]:
+            if not self._defaults:
+                return {}
+            values = context.get_numeric_parameter(0).CopyToVector()
+            return dict(zip(self._defaults, values, strict=True))
+
+        def _checked(self, parameters: Mapping[str, Any]) -> dict[str, Any]:
+            for name in parameters:
+                if name not in self._model.parameter_names:
+                    allowed = ", ".join(self._model.parameter_names) or "none"
+                    raise KeyError(
+                        f"{type(self._model).__name__} has no parameter {name!r};"
+                        f" it has: {allowed}"
+                    )
+            return dict(parameters)
+
+    def _vector(values: Any) -> Any:
+        return BasicVector_[T](np.array([T(v) for v in values]))
+
+    return Impl
+
+
+Plant = Plant_[None]

@@ -1,0 +1,103 @@
+"""The boundary-layer sliding controller that keeps the plant inside the tube."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.symbolic import Expression
+from pydrake.systems.framework import LeafSystem_
+from pydrake.systems.scalar_conversion import TemplateSystem
+
+from dtmpc_drake import sliding
+from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.systems.plan_port import DeclarePlanInputPort, EvalPlan
+
+
+def _plain(time: Any) -> float:
+    """The time as a number; a plan is not differentiated along it."""
+    if isinstance(time, AutoDiffXd):
+        return float(time.value())
+    if isinstance(time, Expression):
+        return float(time.Evaluate())
+    return float(time)
+
+
+@TemplateSystem.define("SlidingModeTracker_")
+def SlidingModeTracker_(T: Any) -> Any:
+    """`SlidingModeTracker` for the scalar type T."""
+
+    class Impl(LeafSystem_[T]):
+        """Tracks a plan with the control law of the paper's section IV.
+
+        .. pydrake_system::
+
+            name: SlidingModeTracker
+            input_ports:
+            - state
+            - plan
+            output_ports:
+            - control
+            - reference
+
+        `state` is the flattened ``(n, m)`` state, `plan` an abstract port that
+        holds a `Plan`.  `control` is u, ``(m,)``; `reference` is the flattened
+        ``(n + 1, m)`` array of y* and its derivatives at the Context's time.
+
+        The tracker supports double, AutoDiffXd and Expression in the state;
+        the Context's time must be a number in each of them.
+        """
+
+        def _construct(self, *, scenario: Scenario, converter: Any = None) -> None:
+            """Constructs a tracker.
+
+            Args:
+                scenario: gives the model as the planner sees it, λ, D and η.
+                converter: for scalar conversion, set by Drake.
+            """
+            LeafSystem_[T].__init__(self, converter=converter)
+            self._scenario = scenario
+            self._model = scenario.planning_model()
+            self._slope = scenario.slope()
+            self._disturbance_bound = scenario.disturbance_bound()
+            n, m = self._model.order, self._model.num_outputs
+            self._state = self.DeclareVectorInputPort("state", n * m)
+            self._plan = DeclarePlanInputPort(self)
+            self.DeclareVectorOutputPort("control", m, self._calc_control)
+            self._reference = self.DeclareVectorOutputPort(
+                "reference",
+                (n + 1) * m,
+                self._calc_reference,
+                # Not the state: else every loop over the reference is algebraic.
+                prerequisites_of_calc={self._plan.ticket(), self.time_ticket()},
+            )
+
+        def _construct_copy(self, other: Any, converter: Any = None) -> None:
+            Impl._construct(self, scenario=other._scenario, converter=converter)
+
+        def _calc_reference(self, context: Any, output: Any) -> None:
+            plan = EvalPlan(self._plan, context)
+            reference = plan.reference(_plain(context.get_time()))
+            output.SetFromVector(np.array([T(v) for v in reference.ravel()]))
+
+        def _calc_control(self, context: Any, output: Any) -> None:
+            n, m = self._model.order, self._model.num_outputs
+            plan = EvalPlan(self._plan, context)
+            layer, layer_rate = plan.layer(_plain(context.get_time()))
+            control = sliding.control(
+                model=self._model,
+                state=self._state.Eval(context).reshape(n, m),
+                reference=self._reference.Eval(context).reshape(n + 1, m),
+                boundary_layer=layer,
+                boundary_layer_rate=layer_rate,
+                slope=self._slope,
+                disturbance_bound=self._disturbance_bound,
+                reaching_rate=self._scenario.controller.reaching_rate,
+            )
+            output.SetFromVector(control)
+
+    return Impl
+
+
+SlidingModeTracker = SlidingModeTracker_[None]

@@ -1,0 +1,126 @@
+"""How much of the tube the plant uses, and how far it stays from obstacles."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pydrake.systems.framework import LeafSystem
+
+from dtmpc_drake.models import Array
+from dtmpc_drake.plan import Plan
+from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.sliding import sliding_variable
+from dtmpc_drake.systems.plan_port import DeclarePlanInputPort, EvalPlan
+
+_WIDENING = 1e-6
+"""Added to every bound (in m or m/s), so that 0/0 at the start counts as 0."""
+
+
+def tube_ratios(
+    *, plan: Plan, time: Array | float, state: Array, slope: Array
+) -> Array:
+    """|s|/Φ, |ỹ|/Ω and |dỹ/dt|/W: at most one inside the tube.
+
+    Without a velocity tube (n = 1: the velocity is no state) the last row
+    repeats the second.
+
+    Args:
+        plan: gives the reference and the bounds.
+        time: shape ``(...)``, in s.
+        state: x, shape ``(..., n, m)``.
+        slope: λ, shape ``(m,)``.
+
+    Returns:
+        Shape ``(..., 3, m)``.
+    """
+    error = state - plan.reference(time)[..., :-1, :]
+    bound = plan.error_bound(time)
+    velocity = min(1, plan.order - 1)
+    used = [sliding_variable(error, slope), error[..., 0, :], error[..., velocity, :]]
+    allowed = [plan.boundary_layer(time), bound[..., 0, :], bound[..., velocity, :]]
+    return np.asarray(
+        np.abs(np.stack(used, axis=-2)) / (np.stack(allowed, axis=-2) + _WIDENING)
+    )
+
+
+class TubeMonitor(LeafSystem):
+    """Watches a plant that should stay inside the tube of a plan.
+
+    .. pydrake_system::
+
+        name: TubeMonitor
+        input_ports:
+        - state
+        - plan
+        output_ports:
+        - tube_ratios
+        - clearance
+
+    `tube_ratios` is the flattened ``(3, m)`` array |s|/Φ, |ỹ|/Ω, |dỹ/dt|/W (see
+    the function of that name).  `clearance` has the distance of the plant's
+    true position from the surface of each obstacle, in m and negative inside;
+    without obstacles it is one infinity.
+    """
+
+    def __init__(self, *, scenario: Scenario) -> None:
+        """Constructs a monitor.
+
+        Args:
+            scenario: gives the obstacles and λ.
+        """
+        LeafSystem.__init__(self)
+        self._shape = (scenario.model.order, scenario.model.num_outputs)
+        self._slope = scenario.slope()
+        self._obstacles = scenario.obstacle_set()
+        self._state = self.DeclareVectorInputPort("state", int(np.prod(self._shape)))
+        self._plan = DeclarePlanInputPort(self)
+        self.DeclareVectorOutputPort(
+            "tube_ratios", 3 * self._shape[1], self._calc_tube_ratios
+        )
+        self.DeclareVectorOutputPort(
+            "clearance",
+            max(len(self._obstacles), 1),
+            self._calc_clearance,
+            prerequisites_of_calc={self._state.ticket()},
+        )
+
+    @staticmethod
+    def AddToBuilder(
+        *,
+        builder: Any,
+        scenario: Scenario,
+        state: Any,
+        plan: Any,
+    ) -> TubeMonitor:
+        """Adds a monitor to a diagram and connects it.
+
+        Args:
+            builder: the DiagramBuilder.
+            scenario: as in the constructor.
+            state: output port that gives the plant's state.
+            plan: output port that gives the plan.
+
+        Returns:
+            The monitor, named ``tube_monitor``.
+        """
+        monitor: TubeMonitor = builder.AddNamedSystem(
+            "tube_monitor", TubeMonitor(scenario=scenario)
+        )
+        builder.Connect(state, monitor.GetInputPort("state"))
+        builder.Connect(plan, monitor.GetInputPort("plan"))
+        return monitor
+
+    def _calc_tube_ratios(self, context: Any, output: Any) -> None:
+        ratios = tube_ratios(
+            plan=EvalPlan(self._plan, context),
+            time=context.get_time(),
+            state=self._state.Eval(context).reshape(self._shape),
+            slope=self._slope,
+        )
+        output.SetFromVector(ratios.ravel())
+
+    def _calc_clearance(self, context: Any, output: Any) -> None:
+        position = self._state.Eval(context)[: self._shape[1]]
+        clearance = self._obstacles.clearance(position)
+        output.SetFromVector(clearance if len(clearance) else [np.inf])

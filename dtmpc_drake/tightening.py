@@ -1,0 +1,107 @@
+"""Constraint tightening (the paper's corollaries 1 and 2, Theorem 2).
+
+Everything here is a function of one instant, batched over leading axes and
+generic in the scalar: the certificate evaluates it along a plan, the SCP
+backend differentiates it numerically, the NLP backend writes it symbolically.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dtmpc_drake.models import Array, Model, euclidean_norm, magnitude
+from dtmpc_drake.sliding import surface_coefficients
+
+
+def feedback_bound(
+    *, model: Model, reference: Array, error_bound: Array, gain: Array, slope: Array
+) -> Array:
+    """ū_fb, the bound of ``|B u - y*^(n)|``  (Theorem 2).
+
+    ū_fb = |F̂|_bound + Σ_{k=1}^{n-1} C(n-1,k-1) λ^(n-k) R_k + |K|_bound
+
+    with K(x) = κ + Δ(x) - Δ(x*).  The paper takes κ + (Δ̄ - Δ(x*)) for the last
+    term; that is too little where K is negative, which a fast growing layer can
+    make it where Δ(x) < Δ(x*).
+
+    Args:
+        model: gives F̂ and Δ over a box.
+        reference: x*, ``(..., n, m)``.
+        error_bound: R_k, ``(..., n, m)``.
+        gain: κ = αΦ, ``(..., m)``.
+        slope: λ, ``(m,)``.
+
+    Returns:
+        Shape ``(..., m)``, in output unit / s^n.
+    """
+    c = surface_coefficients(slope, model.order)
+    damping = (c[:-1] * error_bound[..., 1:, :]).sum(axis=-2)
+    largest = model.model_error_bound_over(reference, error_bound)
+    # 0 <= Δ(x) <= Δ̄, so |K| is at most the larger of κ + Δ̄ - Δ(x*) and
+    # Δ(x*) - κ, written without a maximum.
+    excess = gain - model.model_error_bound(reference)
+    switching = largest / 2 + magnitude(excess + largest / 2)
+    return np.asarray(
+        model.drift_bound(reference, error_bound) + damping + switching
+    )
+
+
+def input_bound(
+    *,
+    model: Model,
+    reference: Array,
+    highest: Array,
+    error_bound: Array,
+    gain: Array,
+    slope: Array,
+) -> Array:
+    """A bound of ``‖u‖`` anywhere in the tube  (corollary 2).
+
+    ``‖B⁻¹(x*) y*^(n)‖ + ‖δ |y*^(n)| + (|B⁻¹(x*)| + δ) ū_fb‖`` with δ the bound of
+    how much B⁻¹ changes over the tube; the paper's when B is constant.
+
+    Args:
+        highest: y*^(n), ``(..., m)``.
+
+    The other arguments are those of `feedback_bound`.
+
+    Returns:
+        Shape ``(...)``, in the unit of the input.
+    """
+    inverse = model.inverse_input_matrix(reference)
+    deviation = model.inverse_input_deviation(reference, error_bound)
+    feedback = feedback_bound(
+        model=model,
+        reference=reference,
+        error_bound=error_bound,
+        gain=gain,
+        slope=slope,
+    )
+    nominal = (inverse * highest[..., None, :]).sum(axis=-1)
+    worst = deviation * magnitude(highest)[..., None, :] + (
+        np.abs(inverse) + deviation
+    ) * feedback[..., None, :]
+    return euclidean_norm(nominal) + euclidean_norm(worst.sum(axis=-1))
+
+
+def rate_bound(
+    *,
+    model: Model,
+    reference: Array,
+    error_bound: Array,
+    gain: Array,
+    disturbance_bound: Array,
+) -> Array:
+    """The bound of ``|dỹ/dt|`` that tightens the speed limit (corollary 1).
+
+    For n >= 2 it is the velocity tube.  For n = 1 the velocity is the highest
+    derivative: ``dỹ/dt = f̃ + d - K sat(s/Φ)``.
+
+    Returns:
+        Shape ``(..., m)``.
+    """
+    if model.order > 1:
+        return np.asarray(error_bound[..., 1, :])
+    largest = model.model_error_bound_over(reference, error_bound)
+    excess = largest - model.model_error_bound(reference)
+    return np.asarray(disturbance_bound + largest + gain + excess)

@@ -1,0 +1,1 @@
+from dtmpc_drake.visualization.replay import write_replay

@@ -1,0 +1,109 @@
+"""Colours and units that the replay and the figures share."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import ClassVar, Literal
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import Colormap, LinearSegmentedColormap
+
+from dtmpc_drake.plan import FloatArray, Plan
+
+ColorBy = Literal["bandwidth", "speed"]
+
+# Okabe and Ito's palette, which colour-blind readers can tell apart.
+BLUE = "#0072B2"
+VERMILION = "#D55E00"
+SKY = "#56B4E9"
+GREEN = "#009E73"
+BLACK = "#1A1A1A"
+GREY = "#9A9A9A"
+LIGHT_GREY = "#D9D9D9"
+
+# Both are perceptually uniform: dark blue to yellow, and dark to peach.
+_RANGES = {"bandwidth": ("viridis", 0.12, 1.0), "speed": ("magma", 0.08, 0.86)}
+
+
+@dataclasses.dataclass(frozen=True)
+class Coloring:
+    """What the colours along a plan mean.
+
+    Attributes:
+        label: of the colour bar, without the unit.
+        unit: of the values.
+        values: one per sample, ``(K,)``.
+        low, high: values at both ends of the colour map.
+        colormap: from `low` to `high`.
+    """
+
+    label: str
+    unit: str
+    values: FloatArray
+    low: float
+    high: float
+    colormap: Colormap
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    @classmethod
+    def along(cls, plan: Plan, time: FloatArray, color_by: ColorBy) -> Coloring:
+        """The colours of a plan at some times.
+
+        Args:
+            plan: gives the values and, over its whole length, their range.
+            time: ``(K,)``, in s.
+            color_by: ``bandwidth``, the largest α over the outputs, or
+                ``speed``, the norm of the reference's velocity.
+
+        Raises:
+            ValueError: if `color_by` is neither.
+        """
+        if color_by == "bandwidth":
+            label = "bandwidth"
+            label += " (largest over the axes)" if plan.num_outputs > 1 else ""
+            unit = "rad/s"
+        elif color_by == "speed":
+            label, unit = "speed", unit_of(1)
+        else:
+            raise ValueError(f"color_by: got {color_by!r}, not bandwidth or speed")
+        every = cls._values(plan, plan.sample_times(), color_by)
+        low, high = float(every.min()), float(every.max())
+        if high - low < 0.02 * max(abs(high), 1e-3):  # constant: a bar needs a width
+            margin = 0.1 * max(abs(high), 1e-3)
+            low, high = low - margin, high + margin
+        name, start, end = _RANGES[color_by]
+        colors = colormaps[name](np.linspace(start, end, 256))
+        return cls(
+            label=label,
+            unit=unit,
+            values=cls._values(plan, time, color_by),
+            low=low,
+            high=high,
+            colormap=LinearSegmentedColormap.from_list(f"dtmpc_{name}", colors),
+        )
+
+    @staticmethod
+    def _values(plan: Plan, time: FloatArray, color_by: ColorBy) -> FloatArray:
+        if color_by == "bandwidth":
+            return np.asarray(plan.bandwidth(time).max(axis=-1))
+        return np.asarray(np.linalg.norm(plan.reference(time)[:, 1], axis=-1))
+
+    def rgb(self, values: FloatArray) -> FloatArray:
+        """Colours of the values, shape ``(..., 3)``, in [0, 1]."""
+        share = (values - self.low) / (self.high - self.low)
+        return np.asarray(self.colormap(share)[..., :3])
+
+
+def unit_of(derivative: int) -> str:
+    """The unit of a derivative of an output: m, m/s, m/s², ..."""
+    powers = str(derivative).translate(str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return {0: "m", 1: "m/s"}.get(derivative, f"m/s{powers}")
+
+
+def axis_name(output: int, num_outputs: int) -> str:
+    """What an output is called: x, y, z of a vehicle, or just a number."""
+    if num_outputs == 1:
+        return "y"
+    return "xyz"[output] if num_outputs <= 3 else f"y{output + 1}"

@@ -1,0 +1,255 @@
+"""Sliding control: the layer is invariant, whatever the plant may do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import comb
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from models_for_tests import (
+    every_adversary,
+    every_model,
+    fly,
+    name_of,
+    one_model_of_each_order,
+    wave,
+)
+from pydrake.autodiffutils import InitializeAutoDiff
+
+from dtmpc_drake.models import Array, IntegratorChain, Model
+from dtmpc_drake.sliding import (
+    bandwidth,
+    control,
+    saturation,
+    sliding_variable,
+    surface_coefficients,
+    switching_gain,
+)
+
+models = pytest.mark.parametrize("model", every_model(), ids=name_of)
+each_order = pytest.mark.parametrize("model", one_model_of_each_order(), ids=name_of)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def binomial_operator(error: Array, slope: Array, times: int) -> Array:
+    """(d/dt + λ) applied repeatedly to a jet, one derivative lost each time."""
+    for _ in range(times):
+        error = error[1:] + slope * error[:-1]
+    return error[0]
+
+
+@given(order=st.integers(1, 5), seed=seeds)
+def test_s_is_the_filter_applied_n_minus_one_times(order: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    error, slope = rng.normal(size=(order, 3)), rng.uniform(0.1, 5, 3)
+    expected = binomial_operator(error, slope, order - 1)
+    assert sliding_variable(error, slope) == pytest.approx(expected)
+
+
+def test_the_papers_sliding_variable_for_two_derivatives() -> None:
+    error = np.array([[0.1, -0.2], [0.5, 1.0]])
+    slope = np.array([2.0, 3.0])
+    assert sliding_variable(error, slope) == pytest.approx([0.7, 0.4])
+    assert surface_coefficients(slope, 3) == pytest.approx(
+        np.array([[4.0, 9.0], [4.0, 6.0], [1.0, 1.0]])
+    )
+
+
+@given(st.lists(st.floats(-10, 10), min_size=1, max_size=6))
+def test_saturation_is_the_identity_inside_and_one_outside(v: list[float]) -> None:
+    value = np.array(v)
+    expected = [x if abs(x) <= 1 else np.sign(x) for x in v]
+    assert saturation(value) == pytest.approx(expected)
+
+
+def test_saturation_has_derivatives() -> None:
+    values = InitializeAutoDiff([[-2.0, -0.5, 0.5, 2.0]]).ravel()
+    result = saturation(values)
+    assert [r.value() for r in result] == [-1.0, -0.5, 0.5, 1.0]
+    slopes = [r.derivatives()[i] for i, r in enumerate(result)]
+    assert slopes == [0.0, 1.0, 1.0, 0.0]
+
+
+def test_the_gain_and_the_bandwidth_are_the_papers() -> None:
+    gain = switching_gain(
+        model_error_bound=np.array([0.4, 0.0]),
+        disturbance_bound=np.array([0.5, 0.5]),
+        reaching_rate=0.1,
+        boundary_layer_rate=np.array([-0.2, 0.3]),
+    )
+    assert gain == pytest.approx([1.2, 0.3])
+    layer = np.array([0.3, 0.1])
+    assert bandwidth(gain=gain, boundary_layer=layer) == pytest.approx([4.0, 3.0])
+
+
+@models
+@given(seed=seeds)
+def test_outside_the_layer_s_approaches_it_at_the_reaching_rate(
+    model: Model, seed: int
+) -> None:
+    """d|s|/dt <= dΦ/dt - η at |s| >= Φ: at every state, for every f̃ and d."""
+    rng = np.random.default_rng(seed)
+    n, m, batch = model.order, model.num_outputs, 60
+    slope, D = rng.uniform(0.3, 5, m), rng.uniform(0, 1, m)
+    eta = 0.1
+    layer, layer_rate = rng.uniform(0.05, 1, m), rng.uniform(-3, 3, m)
+    reference = rng.normal(size=(n + 1, m))
+    error = rng.normal(size=(batch, n, m))
+    # Place s on the surface of the layer, or beyond it.
+    side = rng.choice([-1.0, 1.0], (batch, m))
+    wanted = side * layer * rng.choice([1.0, 1.0, 3.0], (batch, m))
+    error[:, -1] += wanted - sliding_variable(error, slope)
+    state = reference[:n] + error
+    u = control(
+        model=model,
+        state=state,
+        reference=reference,
+        boundary_layer=layer,
+        boundary_layer_rate=layer_rate,
+        slope=slope,
+        disturbance_bound=D,
+        reaching_rate=eta,
+    )
+    f = rng.uniform(-1, 1, (batch, m)) * model.model_error_bound(state)
+    d = rng.choice([-1.0, 1.0], (batch, m)) * D
+    effect = np.einsum("bij,bj->bi", model.input_matrix(state), u)
+    highest = model.drift(state) + f + effect + d
+    jet = np.concatenate([error, (highest - reference[n])[:, None]], axis=1)
+    # ds/dt from the jet itself: (d/dt + λ)^(n-1) of dỹ/dt.
+    rate = sliding_variable(jet[:, 1:], slope)
+    assert (side * rate <= layer_rate - eta + 1e-9).all()
+
+
+@given(seed=seeds)
+def test_on_the_reference_with_nothing_unknown_the_control_is_feedforward(
+    seed: int,
+) -> None:
+    rng = np.random.default_rng(seed)
+    for model in every_model():
+        reference = rng.normal(size=(model.order + 1, model.num_outputs))
+        state = reference[:-1]
+        u = control(
+            model=model,
+            state=state,
+            reference=reference,
+            boundary_layer=np.array(0.3),
+            boundary_layer_rate=np.array(0.0),
+            slope=np.full(model.num_outputs, 2.0),
+            disturbance_bound=np.array(0.5),
+            reaching_rate=0.1,
+        )
+        reached = model.drift(state) + model.input_matrix(state) @ u
+        assert reached == pytest.approx(reference[-1])
+
+
+def breathing_layer(
+    mean: Array, depth: float, frequency: float
+) -> Callable[[float], tuple[Array, Array]]:
+    """An arbitrary C1 layer: what no solution of the planner looks like."""
+    phase = np.arange(len(mean))
+
+    def layer(t: float) -> tuple[Array, Array]:
+        angle = frequency * t + phase
+        value = mean * (1 + depth * np.sin(angle))
+        return value, mean * depth * frequency * np.cos(angle)
+
+    return layer
+
+
+@each_order
+@settings(max_examples=5)
+@given(
+    mean=st.floats(0.1, 0.5),
+    depth=st.floats(0, 0.8),
+    frequency=st.floats(0.2, 5),
+    seed=seeds,
+)
+# A layer that grows faster than D + η: the gain K is negative for a while.
+@example(mean=0.5, depth=0.8, frequency=5.0, seed=0)
+def test_the_layer_is_invariant_for_any_smooth_layer(
+    model: Model, mean: float, depth: float, frequency: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    n, m = model.order, model.num_outputs
+    adversary, trials = every_adversary(seed)
+    slope = rng.uniform(1, 3, m)
+    layer = breathing_layer(np.full(m, mean), depth, frequency)
+    times = np.arange(601) * 0.005
+    # From anywhere in the layer, its surface included.
+    error = rng.normal(scale=0.2, size=(trials, n, m))
+    wanted = rng.choice([-1.0, 1.0, 0.5], (trials, m)) * layer(0.0)[0]
+    error[:, -1] += wanted - sliding_variable(error, slope)
+    errors = fly(
+        model=model,
+        reference=wave(model, 1.0, 0.8),
+        layer=layer,
+        slope=slope,
+        disturbance_bound=np.full(m, 0.5),
+        reaching_rate=0.1,
+        initial_error=error,
+        adversary=adversary,
+        times=times,
+    )
+    s = sliding_variable(errors, slope)
+    ratio = np.abs(s) / np.stack([layer(t)[0] for t in times])[:, None]
+    assert ratio.max() <= 1 + 1e-4
+
+
+def test_the_layer_would_not_be_invariant_under_a_larger_disturbance() -> None:
+    """The counterpart, so that the test above is known to be able to fail."""
+    model = IntegratorChain(num_outputs=1, order=2)
+    slope = np.array([2.0])
+
+    def push(t: float, error: Array, s: Array) -> tuple[Array, Array]:
+        return np.zeros_like(s), 1.5 * np.ones_like(s)
+
+    errors = fly(
+        model=model,
+        reference=wave(model, 1.0, 0.8),
+        layer=lambda t: (np.array([0.3]), np.array([0.0])),
+        slope=slope,
+        disturbance_bound=np.array([0.5]),
+        reaching_rate=0.1,
+        initial_error=np.zeros((1, 2, 1)),
+        adversary=push,
+        times=np.arange(601) * 0.005,
+    )
+    # Beyond the layer by (1.5 D - D - η) for good: it leaves.
+    assert np.abs(sliding_variable(errors, slope)).max() > 0.33
+
+
+@models
+def test_a_batch_of_controls_is_its_entries_one_by_one(model: Model) -> None:
+    rng = np.random.default_rng(7)
+    n, m = model.order, model.num_outputs
+    state = rng.normal(size=(4, n, m))
+    reference = rng.normal(size=(4, n + 1, m))
+    layer, layer_rate = rng.uniform(0.1, 1, (4, m)), rng.normal(size=(4, m))
+
+    def one(state: Array, reference: Array, layer: Array, rate: Array) -> Array:
+        return control(
+            model=model,
+            state=state,
+            reference=reference,
+            boundary_layer=layer,
+            boundary_layer_rate=rate,
+            slope=np.full(m, 2.0),
+            disturbance_bound=np.full(m, 0.5),
+            reaching_rate=0.1,
+        )
+
+    whole = one(state, reference, layer, layer_rate)
+    for i in range(4):
+        single = one(state[i], reference[i], layer[i], layer_rate[i])
+        assert whole[i] == pytest.approx(single)
+
+
+def test_the_coefficients_are_those_of_the_control_law() -> None:
+    """C(n-1, k-1) λ^(n-k) of the law is the surface's c_(k-1) times λ^0."""
+    n, slope = 4, np.array([1.5])
+    c = surface_coefficients(slope, n)[:, 0]
+    law = [comb(n - 1, k - 1) * 1.5 ** (n - k) for k in range(1, n)]
+    assert c[:-1] == pytest.approx(law)
