@@ -131,6 +131,11 @@ class Model(abc.ABC):
         """Whether the bounds over a box are proven rather than sampled."""
         return True
 
+    @property
+    def error_bound_varies(self) -> bool:
+        """Whether Δ depends on the state; False saves the planner some work."""
+        return True
+
     def inverse_input_matrix(self, x: Array) -> Array:
         """B(x)⁻¹, shape ``(..., m, m)``; the identity unless overridden."""
         eye = np.eye(self.num_outputs)
@@ -244,6 +249,11 @@ class DragDoubleIntegrator(Model):
             return self.model_error_bound(x)
         return self.model_error_bound(self._largest_velocity(x, radius))
 
+    @property
+    def error_bound_varies(self) -> bool:
+        """See base class."""
+        return self.drag_error_bound != 0
+
     def constant_model_error_bound(self, speed: float) -> Array:
         """``drag_error_bound * speed²`` on every axis."""
         return np.full(3, self.drag_error_bound * speed**2)
@@ -297,6 +307,11 @@ class IntegratorChain(Model):
     def model_error_bound_over(self, x: Array, radius: Array) -> Array:
         """See base class."""
         return self.model_error_bound(x)
+
+    @property
+    def error_bound_varies(self) -> bool:
+        """See base class."""
+        return False
 
     def constant_model_error_bound(self, speed: float) -> Array:
         """Δ itself."""
@@ -362,6 +377,11 @@ class ConstantUncertainty(Model):
     def parameter_interval(self, name: str) -> tuple[float, float]:
         """See base class."""
         return self.model.parameter_interval(name)
+
+    @property
+    def error_bound_varies(self) -> bool:
+        """See base class."""
+        return False
 
     def constant_model_error_bound(self, speed: float) -> Array:
         """The constant itself."""

@@ -349,7 +349,7 @@ class Scenario:
     def _check_sizes(self) -> None:
         m, n = self.model.num_outputs, self.model.order
         _require("model.num_outputs", m, m >= 1, "at least 1")
-        _require("model.order", n, n >= 1, "at least 1")
+        _require("model.order", n, 1 <= n <= 10, "in [1, 10]")
         lists = {
             "disturbance.bound": self.disturbance.bound,
             "controller.slope": self.controller.slope,
@@ -444,7 +444,8 @@ class Scenario:
             section, name = field.split(".")
             value = getattr(getattr(self, section), name)
             _require(field, value, value in allowed, "one of " + ", ".join(allowed))
-        name_ok = bool(self.name) and not set(self.name) & set("/\\\0")
+        name_ok = self.name.isprintable() and not set(self.name) & set("/\\")
+        name_ok = name_ok and self.name not in ("", ".", "..")
         _require("name", self.name, name_ok, "a file name, without slashes")
         for name in self.plant:
             allowed = ", ".join(self.model.parameter_names) or "nothing"
@@ -617,7 +618,7 @@ def load_scenario(source: str | Path) -> Scenario:
     else:
         try:
             text = Path(source).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
+        except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or "not a text file"
             names = ", ".join(shipped_scenarios())
             raise ScenarioError(
@@ -632,17 +633,36 @@ def parse_scenario(text: str) -> Scenario:
     """Builds and validates a scenario from YAML text; errors as `load_scenario`."""
     try:
         data = yaml_load_data(text)
-    except (yaml.YAMLError, AttributeError, TypeError) as error:
+    except (yaml.YAMLError, AttributeError, TypeError, ValueError) as error:
         mark = getattr(error, "problem_mark", None)
         where = f"line {mark.line + 1}" if mark else "the file"
-        what = getattr(error, "problem", None) or "not a mapping of fields"
+        what = getattr(error, "problem", None) or getattr(error, "reason", None)
+        if isinstance(error, ValueError):
+            what = str(error)
+        what = what or "a name that is not text"
         raise ScenarioError(where, what, "valid YAML") from None
+    _check_repetitions(yaml.compose(text, Loader=yaml.SafeLoader), "")
     data = _checked(Scenario, data, "")
     scenario: Scenario = yaml_load_typed(
         schema=Scenario, data=yaml.dump(data, Dumper=_TagDumper)
     )
     scenario.validate()
     return scenario
+
+
+def _check_repetitions(node: yaml.Node | None, path: str) -> None:
+    """YAML keeps the last of two fields of one name, and says nothing."""
+    if isinstance(node, yaml.MappingNode):
+        seen: set[str] = set()
+        for key, value in node.value:
+            name = _join(path, str(key.value))
+            again = f"a second one on line {key.start_mark.line + 1}"
+            _require(name, again, name not in seen, "given once")
+            seen.add(name)
+            _check_repetitions(value, name)
+    elif isinstance(node, yaml.SequenceNode):
+        for i, item in enumerate(node.value):
+            _check_repetitions(item, f"{path}[{i}]")
 
 
 class _TagDumper(yaml.SafeDumper):
@@ -691,7 +711,10 @@ def _checked(schema: Any, value: Any, path: str) -> Any:
     wrong_bool = isinstance(value, bool) and schema is not bool
     if not isinstance(value, kinds[schema]) or wrong_bool:
         raise ScenarioError(path, value, names[schema])
-    return float(value) if schema is float else value
+    try:
+        return float(value) if schema is float else value
+    except OverflowError:
+        raise ScenarioError(path, value, "a finite number") from None
 
 
 def _checked_union(options: list[Any], value: Any, path: str) -> Any:

@@ -217,7 +217,7 @@ def propagate_error_bounds(
     # Δ̄ looks at W itself, so iterate; the map is monotone and starts above
     # its fixed point, hence every iterate is a valid bound.
     decay = bandwidth + (order - 1) * slope
-    for _ in range(60):
+    for _ in range(60 if model.error_bound_varies else 1):
         R = half_grid(bound, bound_rate, step)
         R = np.maximum(R, 0.0)
         forcing = decay * R[:, -1] + comparison_rate(

@@ -74,7 +74,9 @@ def test_the_error_bound_covers_every_plant_in_the_interval(
         states[:, 1] *= (2.5 / np.maximum(speed, 2.5))[:, None]
     for name in model.parameter_names:
         for value in np.linspace(*model.parameter_interval(name), 9):
-            error = np.abs(model.true_drift(states, {name: value}) - model.drift(states))
+            error = np.abs(
+                model.true_drift(states, {name: value}) - model.drift(states)
+            )
             assert (error <= model.model_error_bound(states) + 1e-6).all()
 
 
@@ -88,7 +90,9 @@ def test_the_parameter_interval_is_no_wider_than_it_may_be(model: Model) -> None
     for name in model.parameter_names:
         low, high = model.parameter_interval(name)
         for value in (low - 0.02, high + 0.02):
-            error = np.abs(model.true_drift(states, {name: value}) - model.drift(states))
+            error = np.abs(
+                model.true_drift(states, {name: value}) - model.drift(states)
+            )
             assert (error > model.model_error_bound(states)).any()
 
 

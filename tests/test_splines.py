@@ -125,9 +125,7 @@ def test_elevation_keeps_the_curve_and_its_hull(
     assert raised.min() >= controls.min() - 1e-12
 
 
-@given(
-    degree=st.integers(2, 5), derivative=st.integers(0, 4), step=steps, seed=seeds
-)
+@given(degree=st.integers(2, 5), derivative=st.integers(0, 4), step=steps, seed=seeds)
 def test_the_knot_operator_differentiates_at_the_knots(
     degree: int, derivative: int, step: float, seed: int
 ) -> None:

@@ -45,9 +45,7 @@ rates = st.floats(0.3, 6)
 REACHING_RATE = 0.1
 
 
-def solve(
-    rate: Callable[[float, Array], Array], initial: Array, times: Array
-) -> Array:
+def solve(rate: Callable[[float, Array], Array], initial: Array, times: Array) -> Array:
     """An independent, tight integration; the states at `times`, ``(K, ...)``."""
     start = np.asarray(initial, dtype=float)
     solution = scipy.integrate.solve_ivp(
@@ -140,7 +138,9 @@ def test_the_layer_is_exponential_at_constant_bandwidth(
 
 
 @given(start=rates, end=rates, initial=st.floats(0.05, 2))
-def test_the_layer_at_linear_bandwidth(start: float, end: float, initial: float) -> None:
+def test_the_layer_at_linear_bandwidth(
+    start: float, end: float, initial: float
+) -> None:
     steps, duration = 160, 2.0
     half = np.linspace(0, duration, 2 * steps + 1)
     alpha = start + (end - start) * half / duration

@@ -75,8 +75,10 @@ class Certificate:
 
     @property
     def worst(self) -> tuple[str, Margin]:
-        """The smallest margin and its name."""
-        return min(self.margins.items(), key=lambda item: item[1].value)
+        """The smallest margin and its name, among limits where all are kept."""
+        items = sorted(self.margins.items(), key=lambda item: item[1].value)
+        limits = [item for item in items if item[0] not in ("tube", "ends")]
+        return items[0] if items[0][1].value < 0 else limits[0]
 
     def __str__(self) -> str:
         """One line a margin."""

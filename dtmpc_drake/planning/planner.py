@@ -27,11 +27,12 @@ from dtmpc_drake.scenario import Planner, Scenario
 
 Status = Literal["certified", "not_certified", "infeasible", "failed"]
 
-TOLERANCE = 0.003
+TOLERANCE = 0.025
 """Iterations stop when the next one promises less than this part of the cost."""
-COARSE_TOLERANCE = 0.03
-COARSEST = 24
+COARSEST = 12
 """Grids are halved for a first solution, down to no less than this."""
+COARSE_ITERATIONS = 2
+"""On each of the coarser grids: they only have to find the way."""
 
 _COLUMNS = (
     ("N", "intervals", "{:3d}"),
@@ -228,8 +229,8 @@ def _sequential_convex(
         result = iterate_to_convergence(
             transcription,
             decisions,
-            tolerance=TOLERANCE if last else COARSE_TOLERANCE,
-            max_iterations=settings.max_iterations,
+            tolerance=TOLERANCE,
+            max_iterations=settings.max_iterations if last else COARSE_ITERATIONS,
             report=report,
         )
         if not last:

@@ -7,6 +7,8 @@ linearised filters of `tube.filter_rates`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from dtmpc_drake.models import Array, jacobian
@@ -51,26 +53,21 @@ def transitions(
         [np.interp(grid, np.arange(N + 1), a) for a in iterate.bandwidth.T], axis=-1
     )
 
-    def rates(flat: Array) -> Array:
-        lead = flat.shape[:-1]
-        value = filter_rates(
+    def rates(reference: Array, bandwidth: Array, states: Array) -> Array:
+        return filter_rates(
             model=p.model,
-            reference=flat[..., : n * m].reshape(*lead, n, m),
-            bandwidth=flat[..., n * m : n * m + m],
-            states=flat[..., n * m + m :].reshape(*lead, S, m),
+            reference=reference,
+            bandwidth=bandwidth,
+            states=states,
             slope=p.slope,
             disturbance_bound=p.disturbance_bound,
             reaching_rate=p.reaching_rate,
         )
-        return value.reshape(*lead, S * m)
 
-    count = len(grid)
-    flat = np.concatenate(
-        [reference.reshape(count, -1), alpha, states.reshape(count, -1)], axis=1
-    )
-    step = np.full(flat.shape[1], 1e-6)
-    step[: n * m] = secant
-    derivative = jacobian(rates, flat, step)
+    if p.model.error_bound_varies:
+        derivative = _all_pairs(rates, reference, alpha, states, secant)
+    else:
+        derivative = _axis_by_axis(rates, reference, alpha, states)
     index = np.arange(N)[:, None] * points + np.arange(points + 1)
     by_state, by_alpha, by_tube = np.split(
         derivative[index], [n * m, n * m + m], axis=-1
@@ -104,3 +101,56 @@ def transitions(
         k4 = A[:, 2] @ (result + h * k3) + B[:, 2]
         result = result + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     return np.asarray(result)
+
+
+def _all_pairs(
+    rates: Callable[[Array, Array, Array], Array],
+    reference: Array,
+    alpha: Array,
+    states: Array,
+    secant: float,
+) -> Array:
+    """Every rate by every reference state, bandwidth and tube state."""
+    count, S, m = states.shape
+    split = reference[0].size
+
+    def flat_rates(flat: Array) -> Array:
+        lead = flat.shape[:-1]
+        value = rates(
+            flat[..., :split].reshape(*lead, -1, m),
+            flat[..., split : split + m],
+            flat[..., split + m :].reshape(*lead, S, m),
+        )
+        return value.reshape(*lead, S * m)
+
+    flat = np.concatenate(
+        [reference.reshape(count, -1), alpha, states.reshape(count, -1)], axis=1
+    )
+    step = np.full(flat.shape[1], 1e-6)
+    step[:split] = secant
+    return jacobian(flat_rates, flat, step)
+
+
+def _axis_by_axis(
+    rates: Callable[[Array, Array, Array], Array],
+    reference: Array,
+    alpha: Array,
+    states: Array,
+) -> Array:
+    """The same where Δ is constant: the axes do not see each other."""
+    count, S, m = states.shape
+    split = reference[0].size
+
+    def moved(offsets: Array) -> Array:
+        value = rates(
+            reference,
+            alpha + offsets[..., :1],
+            states + offsets[..., 1:, None],
+        )
+        return value.reshape(*value.shape[:-2], S * m)
+
+    slopes = jacobian(moved, np.zeros((count, 1 + S))).reshape(count, S, m, 1 + S)
+    result = np.zeros((count, S, m, split // m + 1 + S, m))
+    axes = np.arange(m)
+    result[:, :, axes, split // m :, axes] = np.moveaxis(slopes, 2, 0)
+    return result.reshape(count, S * m, -1)

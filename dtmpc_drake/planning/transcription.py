@@ -29,6 +29,8 @@ HAIR = 2e-3
 """By how much the bandwidth stays inside its limits, relative."""
 INPUT_HAIR = 1e-3
 """By how much the input does: the tube's pieces round off the model's kinks."""
+BLEND = 0.125
+"""Part of the way, at each end, in which a start is bent to meet the ends."""
 TUBE_STEPS = 16
 """Steps of the tube in each interval; the half grid has twice as many."""
 
@@ -172,24 +174,16 @@ class Transcription:
     # Decisions to iterate.
 
     def straight_line(self) -> tuple[Array, Array]:
-        """The paper's start: a straight line, at the highest bandwidth.
-
-        It meets both end states, blends in as few knots as the spline needs,
-        and moves at constant speed between them.
-        """
+        """The paper's start: a straight line, at the highest bandwidth."""
         p = self.problem
         count = self.intervals + self.degree
         # Greville abscissae reproduce linear functions exactly.
         greville = (np.arange(count) - (self.degree - 1) / 2) / self.intervals
         line = p.start[0] + greville[:, None] * (p.goal[0] - p.start[0])
-        at_start = self._end_conditions(0)
-        at_end = self._end_conditions(self.intervals)
-        conditions = np.vstack([at_start, at_end])
-        wanted = np.vstack([p.start, p.goal])
-        correction = np.linalg.lstsq(conditions, wanted - conditions @ line, rcond=None)
-        return line + correction[0], np.broadcast_to(
+        alpha = np.broadcast_to(
             self.bandwidth_high, (self.intervals + 1, self.outputs)
-        ).copy()
+        )
+        return self.with_ends(line), self.feasible_bandwidth(alpha)
 
     def from_plan(self, plan: Plan) -> tuple[Array, Array]:
         """The decisions nearest to an earlier plan, from now to its end."""
@@ -199,9 +193,37 @@ class Transcription:
         coefficients = scipy.sparse.linalg.spsolve(
             (operator.T @ operator).tocsc(), operator.T @ wanted
         )
-        bandwidth = self.feasible_bandwidth(plan.bandwidth(self.knots))
         shape = (self.intervals + self.degree, self.outputs)
-        return np.asarray(coefficients).reshape(shape), bandwidth
+        coefficients = np.asarray(coefficients).reshape(shape)
+        alpha = self.feasible_bandwidth(plan.bandwidth(self.knots))
+        return self.with_ends(coefficients), alpha
+
+    def with_ends(self, coefficients: Array) -> Array:
+        """The nearest spline that meets both end states.
+
+        Nearest in the highest derivative, with only the first and last part of
+        the way changed, so that a shifted end leaves the rest where it was.
+        """
+        p, count = self.problem, len(coefficients)
+        conditions = np.vstack(
+            [self._end_conditions(0), self._end_conditions(self.intervals)]
+        )
+        missing = np.vstack([p.start, p.goal]) - conditions @ coefficients
+        part = min(int(BLEND * self.intervals) + 2 * self.order, count // 2)
+        free = np.r_[:part, count - part : count]
+        highest = splines.knot_operator(
+            self.intervals, self.degree, self.order, 1.0
+        ).toarray()[:, free]
+        conditions = conditions[:, free]
+        size, rows = len(free), len(conditions)
+        system = np.zeros((size + rows, size + rows))
+        system[:size, :size] = highest.T @ highest
+        system[:size, size:] = conditions.T
+        system[size:, :size] = conditions
+        right = np.concatenate([np.zeros((size, self.outputs)), missing])
+        result = coefficients.copy()
+        result[free] += np.linalg.solve(system, right)[:size]
+        return result
 
     def _end_conditions(self, knot: int) -> Array:
         rows = np.zeros((self.order, self.intervals + self.degree))

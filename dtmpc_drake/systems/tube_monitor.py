@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import LeafSystem
+from pydrake.systems.framework import DiagramBuilder, LeafSystem, OutputPort
 
 from dtmpc_drake.models import Array
 from dtmpc_drake.plan import Plan
@@ -88,10 +88,10 @@ class TubeMonitor(LeafSystem):
     @staticmethod
     def AddToBuilder(
         *,
-        builder: Any,
+        builder: DiagramBuilder,
         scenario: Scenario,
-        state: Any,
-        plan: Any,
+        state: OutputPort,
+        plan: OutputPort,
     ) -> TubeMonitor:
         """Adds a monitor to a diagram and connects it.
 

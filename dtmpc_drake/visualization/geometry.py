@@ -200,7 +200,7 @@ def tube_rings(
         half_axes: embedded Ω, ``(K, 3)``.
 
     Returns:
-        Corners in order around the travel, ``(K, 4, 3)``.
+        Corners in order around the travel, upper left first, ``(K, 4, 3)``.
     """
     frames = travel_frames(velocity)
     side, up = frames[:, :, 1], frames[:, :, 2]
@@ -211,25 +211,28 @@ def tube_rings(
     side = side * np.concatenate([[1.0], sign])[:, None]
     width = (np.abs(side) * half_axes).sum(axis=1)[:, None] * side
     height = (np.abs(up) * half_axes).sum(axis=1)[:, None] * up
-    corners = [width + height, height - width, -width - height, width - height]
+    corners = [width + height, width - height, -width - height, height - width]
     return position[:, None] + np.stack(corners, axis=1)
 
 
 def swept_mesh(
-    rings: FloatArray,
+    rings: FloatArray, *, closed: bool = True
 ) -> tuple[FloatArray, FloatArray]:
-    """Triangles between consecutive rings, with both ends closed.
+    """Triangles between consecutive rings, and over both ends.
 
     Args:
         rings: ``(K, R, 3)``.
+        closed: whether a ring's last point is joined to its first.
 
     Returns:
-        Vertices ``(K * R, 3)`` and faces ``(F, 3)``, counter-clockwise.
+        Vertices ``(K * R, 3)`` and faces ``(F, 3)``.
     """
     K, R = rings.shape[:2]
     start = np.arange(K - 1)[:, None] * R + np.arange(R)
     turn = np.roll(start, -1, axis=1)
     sides = np.stack([start, start + R, turn, turn, start + R, turn + R], axis=-1)
+    if not closed:
+        sides = sides[:, :-1]
     fan = np.stack([np.zeros(R - 2), np.arange(1, R - 1), np.arange(2, R)], axis=-1)
     caps = [fan, (K - 1) * R + fan[:, ::-1]]
     faces = np.concatenate([*caps, sides.reshape(-1, 3)]).astype(np.int32)

@@ -172,7 +172,7 @@ def field_corners(scenario: Scenario, plan: Plan) -> tuple[FloatArray, FloatArra
     high = np.max([np.minimum(b[1], high + reach) for b in bounds], axis=0)
     air = np.array([0.5, 0.5, 0.0])
     low, high = low - air, high + air
-    low[2], high[2] = min(low[2], 0.0), center[:, 2].max() + 0.2
+    low[2], high[2] = min(low[2], 0.0), center[:, 2].max() + 0.05
     return low, high
 
 
@@ -260,13 +260,14 @@ def add_tube(
     plan: Plan,
     color_by: ColorBy = "bandwidth",
     name: str = "plan",
-    opacity: float = 0.65,
+    opacity: float = 0.75,
 ) -> None:
     """The reference as a line and the tube around it as a coloured surface.
 
     The tube is the box ``|ỹ_i| <= Ω_i`` swept along the reference.  Across the
     travel it is drawn as the rectangle that just holds the box, one side
     horizontal: exactly the box's silhouette on level flight, and never smaller.
+    The half above the reference is faint, so that one looks into the tube.
     """
     time = plan.sample_times(_TUBE_PERIOD)
     reference = plan.reference(time) @ embedding(plan.num_outputs).T
@@ -275,14 +276,20 @@ def add_tube(
     position, velocity = reference[:, 0], reference[:, 1]
     coloring = Coloring.along(plan, time, color_by)
     rings = tube_rings(position, velocity, half_axes)
-    vertices, faces = swept_mesh(rings)
-    meshcat.SetTriangleColorMesh(
-        f"{ROOT}/{name}/tube",
-        vertices.T,
-        faces.T,
-        coloring.rgb(coloring.values).repeat(rings.shape[1], axis=0).T,
-    )
-    meshcat.SetProperty(f"{ROOT}/{name}/tube", "opacity", opacity)
+    middle = (rings + rings[:, [1, 0, 3, 2]]) / 2
+    upper = np.stack([middle[:, 0], rings[:, 0], rings[:, 3], middle[:, 3]], axis=1)
+    lower = np.stack([middle[:, 0], rings[:, 1], rings[:, 2], middle[:, 3]], axis=1)
+    for half, shell, alpha in (
+        ("lower", lower, opacity),
+        ("upper", upper, 0.25 * opacity),
+    ):
+        path = f"{ROOT}/{name}/tube/{half}"
+        vertices, faces = swept_mesh(shell, closed=False)
+        colors = coloring.rgb(coloring.values).repeat(shell.shape[1], axis=0)
+        meshcat.SetTriangleColorMesh(path, vertices.T, faces.T, colors.T)
+        meshcat.SetProperty(path, "opacity", alpha)
+        # What is behind a translucent wall must not vanish.
+        meshcat.SetProperty(f"{path}/<object>", "material.depthWrite", False)
     _add_pipe(meshcat, f"{ROOT}/{name}/reference", position, BLACK, 0.018)
 
 

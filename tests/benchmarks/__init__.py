@@ -1,0 +1,1 @@
+"""Benchmarks, printed rather than asserted: ``python -m tests.benchmarks``."""

@@ -1,0 +1,397 @@
+"""Each system on its own: ports, scalar types, randomness, and what it refuses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, InitializeAutoDiff
+from pydrake.common import RandomGenerator
+from pydrake.common.value import Value
+from pydrake.symbolic import Evaluate, Expression, MakeVectorContinuousVariable
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, System
+from pydrake.systems.primitives import FirstOrderTaylorApproximation, Linearize
+
+from dtmpc_drake import sliding
+from dtmpc_drake.models import Array, DragDoubleIntegrator, IntegratorChain
+from dtmpc_drake.plan import Plan
+from dtmpc_drake.scenario import (
+    BangBang,
+    ColoredWind,
+    Constant,
+    Controller,
+    Disturbance,
+    Scenario,
+    UniformHold,
+    Waypoint,
+    WorstCase,
+)
+from dtmpc_drake.systems import (
+    DtmpcPlanner,
+    MakeDisturbance,
+    Plant,
+    Plant_,
+    Relay,
+    SlidingError,
+    SlidingModeTracker,
+    SlidingModeTracker_,
+    TubeMonitor,
+    hold_plan,
+    tube_ratios,
+)
+
+
+@pytest.fixture(scope="session")
+def scenario() -> Scenario:
+    return Scenario(
+        model=DragDoubleIntegrator(0.1, 0.05),
+        start=Waypoint(position=[0.0, 1.0, 2.0], velocity=[0.1, 0.5, -0.2]),
+        initial_error=Waypoint(position=[0.01, 0.02, -0.02]),
+    )
+
+
+@pytest.fixture(scope="session")
+def resting(scenario: Scenario) -> Plan:
+    return hold_plan(scenario)
+
+
+def fixed(system: System, **values: Any) -> Context:
+    """A Context with its input ports fixed by name."""
+    context = system.CreateDefaultContext()
+    for name, value in values.items():
+        system.GetInputPort(name).FixValue(context, value)
+    return context
+
+
+# The plant.
+
+
+def make_plant(drag: float = 0.3) -> Any:
+    return Plant(
+        model=DragDoubleIntegrator(0.2, 0.2),
+        parameters={"drag": drag},
+        initial_state=np.array([[1.0, 2.0, 3.0], [0.0, 3.0, 4.0]]),
+    )
+
+
+def test_the_plant_is_its_equation() -> None:
+    plant = make_plant()
+    u, d = np.array([1.0, 2.0, 3.0]), np.array([0.1, -0.2, 0.3])
+    context = fixed(plant, control=u, disturbance=d)
+    np.testing.assert_allclose(
+        plant.GetOutputPort("state").Eval(context), [1, 2, 3, 0, 3, 4]
+    )
+    rates = plant.EvalTimeDerivatives(context).CopyToVector()
+    np.testing.assert_allclose(rates[:3], [0, 3, 4])
+    np.testing.assert_allclose(rates[3:], u + d - 0.3 * 5.0 * np.array([0.0, 3.0, 4.0]))
+
+
+def test_true_parameters_live_in_the_context() -> None:
+    plant = make_plant(drag=0.3)
+    force = {"control": np.zeros(3), "disturbance": np.zeros(3)}
+    default, changed = fixed(plant, **force), fixed(plant, **force)
+    plant.SetParameters(changed, {"drag": 0.0})
+    assert plant.EvalTimeDerivatives(changed).CopyToVector()[4] == 0.0
+    assert plant.EvalTimeDerivatives(default).CopyToVector()[4] == pytest.approx(-4.5)
+    with pytest.raises(KeyError, match="no parameter 'mass'; it has: drag"):
+        plant.SetParameters(changed, {"mass": 1.0})
+    with pytest.raises(KeyError, match="'mass'"):
+        Plant(model=DragDoubleIntegrator(), parameters={"mass": 1.0})
+
+
+def test_the_state_output_has_no_feedthrough() -> None:
+    assert not make_plant().HasAnyDirectFeedthrough()
+
+
+@pytest.mark.parametrize("T", [AutoDiffXd, Expression])
+def test_the_plant_converts_with_its_defaults(T: Any) -> None:
+    plant = make_plant(drag=0.3)
+    other = plant.ToScalarType[T]()
+    assert isinstance(other, Plant_[T])
+    zero = np.zeros(3)
+    context = fixed(plant, control=zero, disturbance=zero)
+    converted = fixed(
+        other, control=np.array([T(0.0)] * 3), disturbance=np.array([T(0.0)] * 3)
+    )
+    rates = other.EvalTimeDerivatives(converted).CopyToVector()
+    value = [r.value() if T is AutoDiffXd else r.Evaluate() for r in rates]
+    np.testing.assert_allclose(
+        value, plant.EvalTimeDerivatives(context).CopyToVector()
+    )
+
+
+def test_the_plant_at_rest_linearises_to_integrators() -> None:
+    model = IntegratorChain(2, 3)
+    plant = Plant(model=model)
+    context = fixed(plant, control=np.zeros(2), disturbance=np.zeros(2))
+    linear = Linearize(
+        plant,
+        context,
+        plant.GetInputPort("control").get_index(),
+        plant.GetOutputPort("state").get_index(),
+    )
+    np.testing.assert_allclose(linear.A(), np.eye(6, k=2), atol=1e-12)
+    np.testing.assert_allclose(linear.B(), np.eye(6)[:, 4:], atol=1e-12)
+    np.testing.assert_allclose(linear.C(), np.eye(6))
+
+
+def test_the_plant_in_flight_linearises_with_its_drag() -> None:
+    plant = make_plant(drag=0.3)
+    context = fixed(plant, control=np.zeros(3), disturbance=np.zeros(3))
+    affine = FirstOrderTaylorApproximation(
+        plant,
+        context,
+        plant.GetInputPort("control").get_index(),
+        plant.GetOutputPort("state").get_index(),
+    )
+    v = np.array([0.0, 3.0, 4.0])
+    expected = -0.3 * (5.0 * np.eye(3) + np.outer(v, v) / 5.0)
+    np.testing.assert_allclose(affine.A()[3:, 3:], expected, atol=1e-9)
+
+
+# The tracker.
+
+
+def tracked_state(scenario: Scenario) -> Array:
+    return scenario.start_state() + scenario.initial_error_state()
+
+
+def test_the_tracker_is_the_control_law(scenario: Scenario, resting: Plan) -> None:
+    tracker = SlidingModeTracker(scenario=scenario)
+    state = tracked_state(scenario)
+    context = fixed(tracker, state=state.ravel(), plan=Value[object](resting))
+    context.SetTime(0.7)
+    reference = tracker.GetOutputPort("reference").Eval(context)
+    np.testing.assert_array_equal(reference, resting.reference(0.7).ravel())
+    layer, layer_rate = resting.layer(0.7)
+    expected = sliding.control(
+        model=scenario.planning_model(),
+        state=state,
+        reference=resting.reference(0.7),
+        boundary_layer=layer,
+        boundary_layer_rate=layer_rate,
+        slope=scenario.slope(),
+        disturbance_bound=scenario.disturbance_bound(),
+        reaching_rate=scenario.controller.reaching_rate,
+    )
+    np.testing.assert_allclose(tracker.GetOutputPort("control").Eval(context), expected)
+
+
+def test_the_reference_does_not_wait_for_the_state(scenario: Scenario) -> None:
+    tracker = SlidingModeTracker(scenario=scenario)
+    state = tracker.GetInputPort("state").get_index()
+    reference = tracker.GetOutputPort("reference").get_index()
+    assert not tracker.HasDirectFeedthrough(state, reference)
+
+
+def test_the_tracker_is_differentiable(scenario: Scenario, resting: Plan) -> None:
+    tracker = SlidingModeTracker(scenario=scenario)
+    state = tracked_state(scenario).ravel()
+    value = Value[object](resting)
+
+    def control(x: Array) -> Array:
+        context = fixed(tracker, state=x, plan=value)
+        result: Array = tracker.GetOutputPort("control").Eval(context)
+        return result
+
+    other = tracker.ToAutoDiffXd()
+    assert isinstance(other, SlidingModeTracker_[AutoDiffXd])
+    context = fixed(other, state=InitializeAutoDiff(state).ravel(), plan=value)
+    gradient = ExtractGradient(other.GetOutputPort("control").Eval(context))
+    steps = 1e-6 * np.eye(6)
+    expected = [(control(state + h) - control(state - h)) / 2e-6 for h in steps]
+    np.testing.assert_allclose(gradient, np.transpose(expected), atol=1e-5)
+
+    symbolic = tracker.ToSymbolic()
+    x = MakeVectorContinuousVariable(6, "x")
+    context = fixed(symbolic, state=[Expression(v) for v in x], plan=value)
+    formula = symbolic.GetOutputPort("control").Eval(context)
+    number = Evaluate(formula, dict(zip(x, state, strict=True)))
+    np.testing.assert_allclose(number.ravel(), control(state))
+
+
+def test_a_port_that_holds_no_plan_says_so(scenario: Scenario) -> None:
+    zero = np.zeros(6)
+    for system, port in (
+        (SlidingModeTracker(scenario=scenario), "control"),
+        (SlidingModeTracker(scenario=scenario), "reference"),
+        (TubeMonitor(scenario=scenario), "tube_ratios"),
+    ):
+        context = fixed(system, state=zero, plan=Value[object]({"not": "a plan"}))
+        with pytest.raises(TypeError, match=r"plan.* must hold a Plan.*holds a dict"):
+            system.GetOutputPort(port).Eval(context)
+        with pytest.raises(RuntimeError, match="must be connected to a plan"):
+            system.GetOutputPort(port).Eval(fixed(system, state=zero))
+
+
+# Disturbances.
+
+D = np.array([0.5, 0.2, 0.0])
+
+
+def drawn(config: Disturbance, seed: int, times: Array) -> Array:
+    """Samples of a disturbance that needs no inputs, ``(K, m)``."""
+    source = MakeDisturbance(config, slope=np.full(3, 2.0), order=2)
+    context = source.CreateDefaultContext()
+    source.SetRandomContext(context, RandomGenerator(seed))
+    simulator = Simulator(source, context)
+    simulator.Initialize()
+    port = source.GetOutputPort("disturbance")
+    samples = []
+    for t in times:
+        simulator.AdvanceTo(t)
+        samples.append(port.Eval(context))
+    return np.array(samples)
+
+
+RANDOM = {
+    "uniform": UniformHold(bound=D.tolist(), hold=0.1),
+    "bang_bang": BangBang(bound=D.tolist(), hold=0.1),
+    "wind": ColoredWind(bound=D.tolist(), correlation_time=0.2, intensity=3.0),
+}
+
+
+@pytest.mark.parametrize("name", RANDOM)
+def test_random_disturbances_keep_their_bound_and_seed(name: str) -> None:
+    times = np.arange(0.05, 20.0, 0.1)
+    first = drawn(RANDOM[name], 1, times)
+    assert (np.abs(first) <= D).all()
+    assert (np.abs(first).max(axis=0) > 0.95 * D)[:2].all()
+    np.testing.assert_array_equal(first, drawn(RANDOM[name], 1, times))
+    assert np.abs(first - drawn(RANDOM[name], 2, times)).max() > 0.1
+    # Nothing is left of the seed in the system: the Context holds it all.
+    assert abs(np.corrcoef(first[:, 0], first[:, 1])[0, 1]) < 0.4
+
+
+def test_uniform_and_bang_bang_hold_their_value() -> None:
+    times = np.arange(0.005, 5.0, 0.01)
+    for name in ("uniform", "bang_bang"):
+        samples = drawn(RANDOM[name], 0, times).reshape(-1, 10, 3)
+        assert (samples == samples[:, :1]).all()
+        held = samples[:, 0, 0]
+        if name == "uniform":
+            assert len(np.unique(held)) == len(held)
+        else:
+            assert set(np.unique(held)) == {-0.5, 0.5}
+
+
+def test_the_wind_has_the_deviation_and_memory_asked_for() -> None:
+    wind = ColoredWind(bound=[1.0] * 3, correlation_time=0.2, intensity=0.2)
+    samples = drawn(wind, 0, np.arange(1.0, 101.0, 0.1))
+    assert samples.std() == pytest.approx(0.2, rel=0.1)
+    assert abs(samples.mean()) < 0.02
+    pairs = np.concatenate([samples[:-1], samples[1:]], axis=1)
+    correlation = [np.corrcoef(pairs[:, i], pairs[:, i + 3])[0, 1] for i in range(3)]
+    assert np.mean(correlation) == pytest.approx(np.exp(-0.1 / 0.2), abs=0.1)
+
+
+def test_a_constant_disturbance_is_its_fraction() -> None:
+    samples = drawn(Constant(bound=D.tolist(), fraction=-0.5), 0, np.array([0.1, 1.0]))
+    np.testing.assert_array_equal(samples, [-D / 2, -D / 2])
+
+
+def test_the_worst_case_pushes_along_the_sliding_variable() -> None:
+    slope = np.full(3, 2.0)
+    source = MakeDisturbance(WorstCase(bound=D.tolist()), slope=slope, order=2)
+    error = np.array([[0.1, -0.1, 0.1], [-0.3, 0.1, 0.0]])  # s = -0.1, -0.1, 0.2
+    reference = np.arange(9.0)
+    context = fixed(source, state=error.ravel() + reference[:6], reference=reference)
+    push = source.GetOutputPort("disturbance").Eval(context)
+    np.testing.assert_array_equal(push, [-0.5, -0.2, 0.0])
+    # It does not wait for an error.
+    context = fixed(source, state=reference[:6], reference=reference)
+    push = source.GetOutputPort("disturbance").Eval(context)
+    np.testing.assert_array_equal(push, D)
+
+
+def test_small_parts_have_their_ports() -> None:
+    relay = Relay(force=np.array([1.0, 2.0]))
+    context = fixed(relay, u=[-1e-9, 0.0])
+    np.testing.assert_array_equal(relay.GetOutputPort("y").Eval(context), [-1.0, 2.0])
+    surface = SlidingError(slope=np.array([3.0]), order=3)
+    context = fixed(surface, state=[1.0, 1.0, 1.0], reference=np.zeros(4))
+    assert surface.GetOutputPort("s").Eval(context) == pytest.approx(9 + 6 + 1)
+
+
+# The monitor.
+
+
+def test_the_monitor_measures_shares_of_the_tube(
+    scenario: Scenario, resting: Plan
+) -> None:
+    monitor = TubeMonitor(scenario=scenario)
+    time = 1.3
+    layer = resting.boundary_layer(time)
+    bound = resting.error_bound(time)
+    error = np.stack([0.5 * bound[0], -0.25 * bound[1]])
+    state = resting.reference(time)[:2] + error
+    context = fixed(monitor, state=state.ravel(), plan=Value[object](resting))
+    context.SetTime(time)
+    ratios = monitor.GetOutputPort("tube_ratios").Eval(context).reshape(3, 3)
+    s = np.abs(error[1] + 2.0 * error[0])
+    np.testing.assert_allclose(ratios[0], s / layer, rtol=1e-4)
+    np.testing.assert_allclose(ratios[1], 0.5, rtol=1e-4)
+    np.testing.assert_allclose(ratios[2], 0.25, rtol=1e-4)
+    np.testing.assert_array_equal(
+        ratios,
+        tube_ratios(plan=resting, time=time, state=state, slope=scenario.slope()),
+    )
+    assert monitor.GetOutputPort("clearance").Eval(context) == [np.inf]
+
+
+def test_no_error_in_no_tube_counts_as_nothing() -> None:
+    """At the start all bounds but the layer are zero."""
+    chain = Scenario(
+        model=IntegratorChain(1, 1),
+        disturbance=WorstCase(bound=[0.1]),
+        controller=Controller(slope=[2.0]),
+        start=Waypoint(position=[1.0]),
+        goal=Waypoint(position=[2.0]),
+    )
+    ratios = tube_ratios(
+        plan=hold_plan(chain), time=0.0, state=np.ones((1, 1)), slope=chain.slope()
+    )
+    np.testing.assert_array_equal(ratios, np.zeros((3, 1)))
+
+
+# The planner.
+
+
+def test_the_plan_that_holds_is_a_true_tube(scenario: Scenario, resting: Plan) -> None:
+    times = np.linspace(0.0, scenario.duration, 50)
+    reference = resting.reference(times)
+    np.testing.assert_array_equal(reference[:, 0], np.tile([0.0, 1.0, 2.0], (50, 1)))
+    assert np.abs(reference[:, 1:]).max() == 0.0
+    error = tracked_state(scenario) - reference[0, :2]
+    s = np.abs(sliding.sliding_variable(error, scenario.slope()))
+    assert (s <= resting.boundary_layer(0.0) + 1e-12).all()
+    assert (np.abs(error) <= resting.error_bound(0.0) + 1e-12).all()
+
+
+def test_the_planner_uses_the_plan_it_is_given(
+    scenario: Scenario, resting: Plan
+) -> None:
+    planner = DtmpcPlanner(scenario=scenario, plan=resting)
+    simulator = Simulator(planner)
+    simulator.Initialize()
+    context = simulator.get_context()
+    held = planner.GetOutputPort("plan").Eval(context)
+    np.testing.assert_array_equal(held.layer_samples, resting.layer_samples)
+    assert planner.GetOutputPort("status").Eval(context) == "given"
+
+
+def test_the_planner_plans_in_its_initialization_event(scenario: Scenario) -> None:
+    planner = DtmpcPlanner(scenario=scenario)
+    assert not planner.HasAnyDirectFeedthrough()
+    simulator = Simulator(planner)
+    context = simulator.get_context()
+    assert planner.GetOutputPort("status").Eval(context) == "not planned yet"
+    assert np.ptp(planner.GetOutputPort("plan").Eval(context).knots) == 10.0
+    simulator.Initialize()
+    assert planner.GetOutputPort("status").Eval(context) == "certified"
+    certified = planner.GetOutputPort("plan").Eval(context)
+    np.testing.assert_allclose(
+        certified.reference(10.0)[0], scenario.goal.position, atol=1e-6
+    )
