@@ -128,6 +128,7 @@ def run(
             scenario=scenario,
             plan=result.plan,
             position=log.position,
+            time=log.time,
             color_by=color_by,
         ).savefig(files[1])
         plot_histories(

@@ -62,12 +62,12 @@ class Plan:
     @property
     def order(self) -> int:
         """n, the order of the outputs."""
-        return self.coefficients.shape[1] - 2
+        return int(self.coefficients.shape[1]) - 2
 
     @property
     def num_outputs(self) -> int:
         """m, the number of outputs."""
-        return self.coefficients.shape[2]
+        return int(self.coefficients.shape[2])
 
     def reference(self, time: FloatArray | float) -> FloatArray:
         """y* and its derivatives up to the n-th.
@@ -157,7 +157,8 @@ class Plan:
             for field in dataclasses.fields(self)
         }
         with open(path, "wb") as file:
-            np.savez_compressed(file, **self.sample(), **exact)
+            arrays: dict[str, Any] = {**self.sample(), **exact}
+            np.savez_compressed(file, **arrays)
 
     @classmethod
     def load(cls, path: str | Path) -> Plan:

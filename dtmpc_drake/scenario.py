@@ -384,9 +384,7 @@ class Scenario:
                     f"{name}.shape", H, bool(np.any(H)), "a matrix that is not zero"
                 )
         for field, value in lists.items():
-            _require(
-                field, value, len(value) == m, f"{m} numbers, one for each output"
-            )
+            _require(field, value, len(value) == m, f"{m} numbers, one for each output")
 
     def _check_ranges(self) -> None:
         c, b = self.controller, self.controller.bandwidth
@@ -448,9 +446,9 @@ class Scenario:
         name_ok = name_ok and self.name not in ("", ".", "..")
         _require("name", self.name, name_ok, "a file name, without slashes")
         for name in self.plant:
-            allowed = ", ".join(self.model.parameter_names) or "nothing"
+            names = ", ".join(self.model.parameter_names) or "nothing"
             known = name in self.model.parameter_names
-            _require(f"plant.{name}", self.plant[name], known, f"one of: {allowed}")
+            _require(f"plant.{name}", self.plant[name], known, f"one of: {names}")
 
     def _check_together(self) -> None:
         b, speed = self.controller.bandwidth, self.limits.speed
@@ -525,8 +523,10 @@ class Scenario:
                 )
 
     def _smallest_final_tube(self) -> Array:
-        """Ω(t_f) at the highest bandwidth and without model error: no plan's is
-        smaller."""
+        """Ω(t_f) at the highest bandwidth and without model error.
+
+        No plan has a smaller one.
+        """
         b = self.controller.bandwidth
         m, n, half = self.model.num_outputs, self.model.order, 401
         # After ten time constants nothing is left of the start.
@@ -758,8 +758,8 @@ def _checked_fields(schema: Any, value: Any, path: str) -> dict[str, Any]:
 
 
 __all__ = [
-    "BangBang",
     "Bandwidth",
+    "BangBang",
     "ColoredWind",
     "Constant",
     "Controller",

@@ -31,7 +31,7 @@ def surface_coefficients(slope: Array, order: int) -> Array:
 
 
 def sliding_variable(error: Array, slope: Array) -> Array:
-    """s = (d/dt + λ)^(n-1) ỹ  (eq. s), shape ``(..., m)``."""
+    """S = (d/dt + λ)^(n-1) ỹ  (eq. s), shape ``(..., m)``."""
     order = error.shape[-2]
     return np.asarray((surface_coefficients(slope, order) * error).sum(axis=-2))
 

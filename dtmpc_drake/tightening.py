@@ -41,9 +41,7 @@ def feedback_bound(
     # Δ(x*) - κ, written without a maximum.
     excess = gain - model.model_error_bound(reference)
     switching = largest / 2 + magnitude(excess + largest / 2)
-    return np.asarray(
-        model.drift_bound(reference, error_bound) + damping + switching
-    )
+    return np.asarray(model.drift_bound(reference, error_bound) + damping + switching)
 
 
 def input_bound(
@@ -61,9 +59,12 @@ def input_bound(
     how much B⁻¹ changes over the tube; the paper's when B is constant.
 
     Args:
+        model: gives B⁻¹, F̂ and Δ over a box.
+        reference: x*, ``(..., n, m)``.
         highest: y*^(n), ``(..., m)``.
-
-    The other arguments are those of `feedback_bound`.
+        error_bound: R_k, ``(..., n, m)``.
+        gain: κ = αΦ, ``(..., m)``.
+        slope: λ, ``(m,)``.
 
     Returns:
         Shape ``(...)``, in the unit of the input.
@@ -78,9 +79,10 @@ def input_bound(
         slope=slope,
     )
     nominal = (inverse * highest[..., None, :]).sum(axis=-1)
-    worst = deviation * magnitude(highest)[..., None, :] + (
-        np.abs(inverse) + deviation
-    ) * feedback[..., None, :]
+    worst = (
+        deviation * magnitude(highest)[..., None, :]
+        + (np.abs(inverse) + deviation) * feedback[..., None, :]
+    )
     return euclidean_norm(nominal) + euclidean_norm(worst.sum(axis=-1))
 
 

@@ -123,9 +123,9 @@ def initial_stages(initial_error: Array, slope: Array) -> Array:
     return np.stack(
         [
             np.abs(
-                (
-                    surface_coefficients(slope, j + 1) * initial_error[: j + 1]
-                ).sum(axis=0)
+                (surface_coefficients(slope, j + 1) * initial_error[: j + 1]).sum(
+                    axis=0
+                )
             )
             for j in range(order)
         ]
@@ -298,10 +298,19 @@ def propagate(
     dΦ/dt = -α Φ + Δ(x*) + D + η  (eq. phidot), then the error bounds.
 
     Args:
-        initial_boundary_layer: Φ(t0), ``(m,)``.
+        model: gives Δ and Δ̄.
+        reference: x* on the half grid, ``(2 M + 1, n, m)``.
+        bandwidth: α on the half grid, ``(2 M + 1, m)``.
+        slope: λ, ``(m,)``.
+        disturbance_bound: D, ``(m,)``.
         reaching_rate: η.
+        initial_boundary_layer: Φ(t0), ``(m,)``.
+        initial_error: ỹ^(k)(t0), or bounds of them, ``(n, m)``.
+        velocity_bound: ``comparison``, or the ``paper``'s looser one.
+        step: between two nodes, in s.
 
-    The other arguments are those of `propagate_error_bounds`.
+    Returns:
+        The tube at the nodes.
     """
     forcing = model.model_error_bound(reference) + disturbance_bound + reaching_rate
     layer, layer_rate = integrate_filter(

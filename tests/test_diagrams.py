@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from models_for_tests import FirstOrderScalar, PlanarOnSlope, ThirdOrderPlanar
 from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.systems.analysis import Simulator
 
 from diagrams.closed_loop import Log, MakeClosedLoop, Simulate
-from dtmpc_drake.models import (
-    Array,
-    DragDoubleIntegrator,
-    IntegratorChain,
-    Model,
-    magnitude,
-)
+from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain, Model
 from dtmpc_drake.obstacles import Cylinder, Sphere
 from dtmpc_drake.plan import Plan
 from dtmpc_drake.planning import plan
@@ -37,48 +32,6 @@ from dtmpc_drake.scenario import (
     WorstCase,
     load_scenario,
 )
-
-
-class SpringyJerk(Model):
-    """Third order, m = 2, with a model error that grows with the speed."""
-
-    num_outputs, order = 2, 3
-    parameter_names = ("growth",)
-    growth_bound = 0.2  # 1/s²
-
-    def drift(self, x: Array) -> Array:
-        return -0.3 * x[..., 2, :]
-
-    def true_drift(self, x: Array, parameters: Mapping[str, Any]) -> Array:
-        return self.drift(x) + parameters["growth"] * x[..., 1, :]
-
-    def model_error_bound(self, x: Array) -> Array:
-        return self.growth_bound * magnitude(x[..., 1, :])
-
-    def drift_bound(self, x: Array, radius: Array) -> Array:
-        return 0.3 * (magnitude(x) + radius)[..., 2, :]
-
-    def model_error_bound_over(self, x: Array, radius: Array) -> Array:
-        return self.growth_bound * (magnitude(x) + radius)[..., 1, :]
-
-    def parameter_interval(self, name: str) -> tuple[float, float]:
-        return -self.growth_bound, self.growth_bound
-
-
-class CoupledInputs(IntegratorChain):
-    """Second order, m = 2, with inputs that are coupled and depend on the state."""
-
-    def inverse_input_matrix(self, x: Array) -> Array:
-        inverse = np.empty((*x.shape[:-2], 2, 2), dtype=x.dtype)
-        inverse[..., 0, 0], inverse[..., 0, 1] = 1.0, 0.4
-        inverse[..., 1, 0] = -0.3
-        inverse[..., 1, 1] = 1.2 + 0.3 * np.sin(x[..., 0, 0])
-        return inverse
-
-    def inverse_input_deviation(self, x: Array, radius: Array) -> Array:
-        deviation = np.zeros((*x.shape[:-2], 2, 2))
-        deviation[..., 1, 1] = 0.3 * radius[..., 0, 0]
-        return deviation
 
 
 def small(model: Model, **fields: Any) -> Scenario:
@@ -104,10 +57,11 @@ def small(model: Model, **fields: Any) -> Scenario:
 
 CASES: dict[str, Callable[[], Scenario]] = {
     "known_drag": lambda: small(DragDoubleIntegrator(0.1, 0.0)),
-    "unknown_drag": lambda: small(
-        DragDoubleIntegrator(0.1, 0.1), plant={"drag": 0.2}
-    ),
+    "unknown_drag": lambda: small(DragDoubleIntegrator(0.1, 0.1), plant={"drag": 0.2}),
     "n1_m1": lambda: small(IntegratorChain(1, 1, 0.1), plant={"model_error": 0.1}),
+    "n1_state_dependent": lambda: small(
+        FirstOrderScalar(), plant={"error_fraction": 1.0}
+    ),
     "n1_m2": lambda: small(IntegratorChain(2, 1)),
     "n2_m1": lambda: small(IntegratorChain(1, 2, 0.2), plant={"model_error": 0.2}),
     "n3_m1": lambda: small(IntegratorChain(1, 3), limits=Limits(input=10.0)),
@@ -116,15 +70,15 @@ CASES: dict[str, Callable[[], Scenario]] = {
         plant={"model_error": 0.1},
         limits=Limits(input=15.0),
     ),
-    "n3_unknown": lambda: small(
-        SpringyJerk(), plant={"growth": 0.2}, limits=Limits(input=10.0)
+    "n3_state_dependent": lambda: small(
+        ThirdOrderPlanar(), plant={"error_fraction": 1.0}, limits=Limits(input=15.0)
     ),
-    "coupled_inputs": lambda: small(CoupledInputs(2, 2)),
+    "coupled_inputs": lambda: small(
+        PlanarOnSlope(), plant={"error_fraction": -1.0}, limits=Limits(input=8.0)
+    ),
     "initial_error": lambda: small(
         DragDoubleIntegrator(0.1, 0.0),
-        initial_error=Waypoint(
-            position=[0.03, -0.04, 0.02], velocity=[0.1, 0.2, -0.1]
-        ),
+        initial_error=Waypoint(position=[0.03, -0.04, 0.02], velocity=[0.1, 0.2, -0.1]),
     ),
 }
 
@@ -167,9 +121,7 @@ def with_seed(scenario: Scenario, seed: int) -> Scenario:
 def test_the_tube_is_invariant(planned: Planned, case: str, disturbance: str) -> None:
     scenario, flown = planned(case)
     bound = scenario.disturbance.bound
-    pushed = dataclasses.replace(
-        scenario, disturbance=DISTURBANCES[disturbance](bound)
-    )
+    pushed = dataclasses.replace(scenario, disturbance=DISTURBANCES[disturbance](bound))
     log = Simulate(pushed, plan=flown)
     assert log.tube_ratios.max() <= 1 + 1e-6
     assert log.clearance.min() > 0

@@ -117,9 +117,7 @@ def test_the_plant_converts_with_its_defaults(T: Any) -> None:
     )
     rates = other.EvalTimeDerivatives(converted).CopyToVector()
     value = [r.value() if T is AutoDiffXd else r.Evaluate() for r in rates]
-    np.testing.assert_allclose(
-        value, plant.EvalTimeDerivatives(context).CopyToVector()
-    )
+    np.testing.assert_allclose(value, plant.EvalTimeDerivatives(context).CopyToVector())
 
 
 def test_the_plant_at_rest_linearises_to_integrators() -> None:
@@ -186,9 +184,12 @@ def test_the_reference_does_not_wait_for_the_state(scenario: Scenario) -> None:
     assert not tracker.HasDirectFeedthrough(state, reference)
 
 
+# NumPy takes flags that symbolic arithmetic leaves behind for errors.
+@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
 def test_the_tracker_is_differentiable(scenario: Scenario, resting: Plan) -> None:
     tracker = SlidingModeTracker(scenario=scenario)
     state = tracked_state(scenario).ravel()
+    state[3:] /= 2  # inside the layer: its edge, where the plan starts, is a kink
     value = Value[object](resting)
 
     def control(x: Array) -> Array:

@@ -153,9 +153,7 @@ class _Program:
         seen = tr.used_input(guess.local)
         bulge = (p.input_limit - seen) - guess.input_margin
         for row, extra in zip(tr.used_input(local), bulge, strict=True):
-            self.program.AddConstraint(
-                row, -np.inf, p.input_limit - extra - BACKOFF
-            )
+            self.program.AddConstraint(row, -np.inf, p.input_limit - extra - BACKOFF)
         rate, weight = tr.used_rate(local), np.linspace(0, 1, n + 1)[:, None]
         chord = rate[:-1, None] * (1 - weight) + rate[1:, None] * weight
         seen_rate = tr.used_rate(guess.local)
@@ -185,10 +183,7 @@ class _Program:
             return
         controls = np.einsum("ic,ncm->nim", tr.position_basis, windows)
         value = stages[:, 0]
-        if tr.order > 1:
-            rate = stages[:, 1] - p.slope * value
-        else:
-            rate = self.tube_rate[:, 0]
+        rate = self.tube_rate[:, 0]
         elevate = splines.elevation(3, tr.control_degree)
         points = hermite_controls(value, rate, tr.step)
         tubes = np.einsum("ij,njm->nim", elevate, points)

@@ -34,20 +34,21 @@ COARSEST = 12
 COARSE_ITERATIONS = 2
 """On each of the coarser grids: they only have to find the way."""
 
+# Title, width, field of `Iteration`, format.
 _COLUMNS = (
-    ("N", "intervals", "{:3d}"),
-    ("cost", "cost", "{:9.4f}"),
-    ("violation", "violation", "{:9.2e}"),
-    ("slack", "slack", "{:8.1e}"),
-    ("defect", "defect", "{:8.1e}"),
-    ("step", "step", "{:7.4f}"),
-    ("fraction", "fraction", "{:8.3f}"),
-    ("trust", "proximity", "{:7.1e}"),
-    ("predicted", "predicted", "{:9.2e}"),
-    ("update s", "update_time", "{:8.4f}"),
-    ("solve s", "solve_time", "{:7.4f}"),
-    ("eval s", "evaluate_time", "{:6.4f}"),
-    ("solver", "status", "{}"),
+    ("N", 3, "intervals", "d"),
+    ("cost", 9, "cost", ".4f"),
+    ("violation", 9, "violation", ".2e"),
+    ("slack", 8, "slack", ".1e"),
+    ("defect", 8, "defect", ".1e"),
+    ("step", 7, "step", ".4f"),
+    ("fraction", 8, "fraction", ".3f"),
+    ("trust", 7, "proximity", ".1e"),
+    ("predicted", 9, "predicted", ".2e"),
+    ("update s", 8, "update_time", ".4f"),
+    ("solve s", 8, "solve_time", ".4f"),
+    ("eval s", 8, "evaluate_time", ".4f"),
+    ("solver", 8, "status", ""),
 )
 
 
@@ -103,19 +104,14 @@ class PlanningResult:
 
 def table_header() -> str:
     """The header of the history's table."""
-    sample = Iteration(0, *[0.0] * 11, status="")
-    cells = []
-    for title, field, form in _COLUMNS:
-        width = len(form.format(getattr(sample, field)))
-        cells.append(title.rjust(max(width, len(title))))
-    return " ".join(cells)
+    return " ".join(title.rjust(width) for title, width, _, _ in _COLUMNS)
 
 
 def table_row(iteration: Iteration) -> str:
     """One row of the history's table."""
     return " ".join(
-        form.format(getattr(iteration, field)).rjust(len(title))
-        for title, field, form in _COLUMNS
+        format(getattr(iteration, field), form).rjust(width)
+        for _, width, field, form in _COLUMNS
     )
 
 

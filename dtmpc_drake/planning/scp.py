@@ -19,6 +19,7 @@ from pydrake.solvers import ClarabelSolver, MathematicalProgram, SolverOptions
 
 from dtmpc_drake.models import Array, jacobian
 from dtmpc_drake.planning.sensitivity import transitions
+from dtmpc_drake.planning.splines import Sparse
 from dtmpc_drake.planning.transcription import (
     Halfplanes,
     Iterate,
@@ -38,6 +39,8 @@ ROTATION = 1.0
 SECANT = 0.1
 """Half-width of the differences along the state, in its units.  Model errors
 often have a kink at rest; a derivative would not see it, a secant does."""
+SHORTEST = 0.02
+"""Steps are not walked by less than this fraction."""
 RATE_REACH = 0.5
 """Bandwidth rates below this part of their limit are left to the projection."""
 REACH = 1.0
@@ -118,7 +121,7 @@ class Program:
             self._options.SetOption(ClarabelSolver.id(), name, value)
         self._solver = ClarabelSolver()
 
-    def _make_constant_rows(self) -> Array:
+    def _make_constant_rows(self) -> Sparse:
         """Rows of the equalities that never change: both ends."""
         v, tr = self.variables, self.transcription
         m = tr.outputs
@@ -132,7 +135,7 @@ class Program:
         rows += [op[first] for op in v.states]
         return sp.vstack(rows, format="csr")
 
-    def _transition_rows(self, iterate: Iterate, secant: float) -> Array:
+    def _transition_rows(self, iterate: Iterate, secant: float) -> Sparse:
         """Rows that vanish where the tube follows the decisions."""
         tr, v = self.transcription, self.variables
         m, N = tr.outputs, tr.intervals
@@ -158,9 +161,7 @@ class Program:
             axis=-1,
         )
         values = np.where(np.abs(values) < 1e-9, 0.0, values)
-        rows = _csr(
-            values.reshape(N * S, -1), columns.repeat(S, axis=0), v.size
-        )
+        rows = _csr(values.reshape(N * S, -1), columns.repeat(S, axis=0), v.size)
         rows.eliminate_zeros()
         return rows
 
@@ -193,7 +194,7 @@ class Program:
         step[: n * m] = secant
         derivative = jacobian(outputs, flat, step)
 
-        def operator(first: int, count: int) -> Array:
+        def operator(first: int, count: int) -> Sparse:
             """The linearised outputs as an operator on z, knot-major."""
             block = derivative[:, first : first + count]
             indices = np.broadcast_to(
@@ -211,7 +212,7 @@ class Program:
         low.append(self._constant_right_side(iterate))
         high.append(low[0])
 
-        def add(matrix: Array, lower: Array | float, upper: Array | float) -> None:
+        def add(matrix: Sparse, lower: Array | float, upper: Array | float) -> None:
             rows.append(matrix)
             low.append(np.broadcast_to(lower, matrix.shape[0]))
             high.append(np.broadcast_to(upper, matrix.shape[0]))
@@ -242,8 +243,8 @@ class Program:
     def _add_hard_rows(
         self,
         iterate: Iterate,
-        operator: Callable[[int, int], Array],
-        add: Callable[[Array, Array | float, Array | float], None],
+        operator: Callable[[int, int], Sparse],
+        add: Callable[[Sparse, Array | float, Array | float], None],
     ) -> None:
         """Input, speed and obstacles, each relaxed by the shared slack."""
         tr, v = self.transcription, self.variables
@@ -286,7 +287,7 @@ class Program:
         )
         add(hard + slack, BACKOFF - self._hard_margin, np.inf)
 
-    def _halfplane_rows(self, planes: Halfplanes, m: int, N: int) -> Array:
+    def _halfplane_rows(self, planes: Halfplanes, m: int, N: int) -> Sparse:
         tr, v = self.transcription, self.variables
         controls, count = tr.position_basis.shape
         # In the space of y the normal is H' ν.
@@ -327,7 +328,7 @@ class Program:
     def _update_cost(
         self,
         iterate: Iterate,
-        feedforward: Array,
+        feedforward: Sparse,
         penalty: float,
         proximity: float,
     ) -> None:
@@ -392,9 +393,7 @@ class Program:
         if tr.problem.bandwidth_is_fixed:
             return coefficients, iterate.bandwidth
         flat = iterate.local.pack().ravel() + v.local @ z
-        local = Local.unpack(
-            flat.reshape(tr.intervals + 1, -1), tr.order, tr.outputs
-        )
+        local = Local.unpack(flat.reshape(tr.intervals + 1, -1), tr.order, tr.outputs)
         # The bandwidth that makes the program's layer, so that its constraints
         # hold, rather than the program's own, whose layer is only first order.
         before = iterate.local
@@ -405,7 +404,7 @@ class Program:
         return coefficients, tr.feasible_bandwidth(gain / layer)
 
 
-def _csr(values: Array, columns: Array, width: int) -> Array:
+def _csr(values: Array, columns: Array, width: int) -> Sparse:
     """Rows with equally many entries each."""
     count = values.shape[1]
     return sp.csr_array(
@@ -470,6 +469,48 @@ class Result:
     failure: str | None = None
 
 
+def _walk(
+    program: Program,
+    current: Iterate,
+    z: Array,
+    merit: float,
+    predicted: float,
+    penalty: float,
+) -> tuple[Array, Iterate, float, float]:
+    """Walks along a step as far as the merit function keeps its promise.
+
+    Returns:
+        The step, the iterate that it leads to, the violation there, and the
+        fraction of the step; the fraction is zero where nothing was gained.
+    """
+    tr = program.transcription
+
+    def tried(z: Array) -> tuple[Iterate, float]:
+        iterate = tr.evaluate(*program.decisions(current, z))
+        return iterate, violation(tr, iterate)
+
+    def kept(iterate: Iterate, worst: float, fraction: float) -> bool:
+        reached = iterate.cost + penalty * _excess(worst)
+        return merit - reached >= 0.1 * fraction * predicted
+
+    trial, worst = tried(z)
+    if kept(trial, worst, 1.0):
+        return z, trial, worst, 1.0
+    program.correct(z, trial)
+    corrected, _ = program.solve()
+    if corrected is not None:
+        trial, worst = tried(corrected)
+        if kept(trial, worst, 1.0):
+            return corrected, trial, worst, 1.0
+    fraction = 0.5
+    while fraction > SHORTEST:
+        trial, worst = tried(fraction * z)
+        if kept(trial, worst, fraction):
+            return z, trial, worst, fraction
+        fraction /= 2
+    return z, current, violation(tr, current), 0.0
+
+
 def iterate_to_convergence(
     transcription: Transcription,
     decisions: tuple[Array, Array],
@@ -509,29 +550,8 @@ def iterate_to_convergence(
         slack = max(float(z[-1]), 0.0)
         merit = current.cost + penalty * _excess(worst)
         predicted = merit - (program.model_cost(z) + penalty * _excess(slack))
-        fraction = 1.0
-        trial = tr.evaluate(*program.decisions(current, z))
-        trial_worst = violation(tr, trial)
-
-        def gains(trial: Iterate, trial_worst: float, fraction: float) -> bool:
-            actual = merit - (trial.cost + penalty * _excess(trial_worst))
-            return actual >= 0.1 * fraction * predicted
-
-        if not gains(trial, trial_worst, 1.0):
-            program.correct(z, trial)
-            better, _ = program.solve()
-            if better is not None:
-                second = tr.evaluate(*program.decisions(current, better))
-                second_worst = violation(tr, second)
-                if gains(second, second_worst, 0.5):
-                    z, trial, trial_worst = better, second, second_worst
-        while not gains(trial, trial_worst, fraction):
-            fraction /= 2
-            if fraction < 0.02:
-                fraction = 0.0
-                break
-            trial = tr.evaluate(*program.decisions(current, fraction * z))
-            trial_worst = violation(tr, trial)
+        step = _walk(program, current, z, merit, predicted, penalty)
+        z, trial, trial_worst, fraction = step
         flat = current.local.pack().ravel() + fraction * (program.variables.local @ z)
         defect = np.abs(flat.reshape(tr.intervals + 1, -1) - trial.local.pack())
         bound = slice(-tr.order * tr.outputs, None)
@@ -539,8 +559,8 @@ def iterate_to_convergence(
         report(
             Iteration(
                 intervals=tr.intervals,
-                cost=trial.cost if fraction else current.cost,
-                violation=trial_worst if fraction else worst,
+                cost=trial.cost,
+                violation=trial_worst,
                 slack=slack,
                 defect=float(defect[:, bound].max()),
                 step=float(np.abs(trial.coefficients - current.coefficients).max()),
@@ -554,12 +574,11 @@ def iterate_to_convergence(
             )
         )
         costs.append(current.cost)
-        if fraction:
-            current, worst = trial, trial_worst
+        current, worst = trial, trial_worst
         stuck = 0 if fraction else stuck + 1
-        enough = tolerance * max(current.cost, 1e-3)
-        slow = len(costs) > 2 and costs[-3] - current.cost <= enough
-        done = predicted <= enough or stuck > 3
+        little = tolerance * max(current.cost, 1e-3)
+        slow = len(costs) > 2 and costs[-3] - current.cost <= little
+        done = predicted <= little or stuck > 3
         if worst <= BACKOFF and (done or (slow and not stuck)):
             return Result(current, True, worst)
         if done or (slow and slack > BACKOFF):

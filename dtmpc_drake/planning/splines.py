@@ -10,12 +10,16 @@ from __future__ import annotations
 
 from functools import lru_cache
 from math import comb
+from typing import Any
 
 import numpy as np
 import scipy.interpolate
 import scipy.sparse as sp
 
 from dtmpc_drake.models import Array
+
+Sparse = Any
+"""A scipy sparse array; scipy is untyped here."""
 
 
 @lru_cache
@@ -89,7 +93,7 @@ def windows(coefficients: Array, degree: int) -> Array:
     return np.asarray(view.swapaxes(1, 2))
 
 
-def knot_operator(intervals: int, degree: int, derivative: int, step: float) -> Array:
+def knot_operator(intervals: int, degree: int, derivative: int, step: float) -> Sparse:
     """The derivative at all knots, sparse ``(N + 1, N + degree)``."""
     start = basis(degree, derivative, np.array([0.0]), step)[0, :degree]
     return sp.diags_array(
@@ -99,7 +103,7 @@ def knot_operator(intervals: int, degree: int, derivative: int, step: float) -> 
     ).tocsr()
 
 
-def midpoint_operator(intervals: int, degree: int) -> Array:
+def midpoint_operator(intervals: int, degree: int) -> Sparse:
     """Values at all knots and midpoints, sparse ``(2 N + 1, N + degree)``."""
     points = basis(degree, 0, np.array([0.0, 0.5, 1.0]), 1.0)
     piece, half = np.divmod(np.arange(2 * intervals + 1), 2)
@@ -134,6 +138,7 @@ def refine(coefficients: Array, degree: int) -> Array:
 
 
 __all__ = [
+    "Sparse",
     "basis",
     "control_basis",
     "elevation",

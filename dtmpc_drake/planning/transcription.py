@@ -143,7 +143,7 @@ class Transcription:
         self.step = problem.duration / intervals
         self.degree = self.order + 1
         self.control_degree = max(self.degree, 3)
-        self.knots = problem.start_time + self.step * np.arange(intervals + 1)
+        self.knots: Array = problem.start_time + self.step * np.arange(intervals + 1)
         self.weights = np.full(intervals + 1, self.step)
         self.weights[[0, -1]] /= 2
         # A hair inside the limits, where interpolation cannot break them.
@@ -180,9 +180,7 @@ class Transcription:
         # Greville abscissae reproduce linear functions exactly.
         greville = (np.arange(count) - (self.degree - 1) / 2) / self.intervals
         line = p.start[0] + greville[:, None] * (p.goal[0] - p.start[0])
-        alpha = np.broadcast_to(
-            self.bandwidth_high, (self.intervals + 1, self.outputs)
-        )
+        alpha = np.broadcast_to(self.bandwidth_high, (self.intervals + 1, self.outputs))
         return self.with_ends(line), self.feasible_bandwidth(alpha)
 
     def from_plan(self, plan: Plan) -> tuple[Array, Array]:
@@ -251,13 +249,11 @@ class Transcription:
 
     def evaluate(self, coefficients: Array, bandwidth: Array) -> Iterate:
         """Propagates the exact tube and evaluates cost and constraints."""
-        p, n, N = self.problem, self.order, self.intervals
+        p, n = self.problem, self.order
         windows = splines.windows(coefficients, self.degree)
         half = np.einsum("kfc,ncm->nfkm", self._half_basis, windows)
         last = self._end_basis @ windows[-1]
-        reference = np.concatenate(
-            [half.reshape(-1, n + 1, self.outputs), last[None]]
-        )
+        reference = np.concatenate([half.reshape(-1, n + 1, self.outputs), last[None]])
         weight = (np.arange(2 * TUBE_STEPS) / (2 * TUBE_STEPS))[:, None]
         alpha = np.concatenate(
             [
@@ -518,4 +514,3 @@ def separating_normals(hull: Array, size: Array) -> Array:
     margins = candidates @ hull.swapaxes(1, 2) - size[:, None]
     best = margins.min(axis=2).argmax(axis=1)
     return np.asarray(candidates[np.arange(len(hull)), best])
-

@@ -3,7 +3,8 @@
 A program's vector z stacks, all knot-major with the axes fastest: the spline
 coefficients of y*; the bandwidth at the knots; the tube's states at the knots
 (the cascade's stages Y_0 ... Y_(n-1) = Φ and, for the comparison bound, W); the
-rotations of the separating half-planes; and one slack.  Operators are sparse matrices on z.
+rotations of the separating half-planes; and one slack.  Operators are sparse
+matrices on z.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from functools import lru_cache
 import numpy as np
 import scipy.sparse as sp
 
-from dtmpc_drake.models import Array
 from dtmpc_drake.planning import splines
+from dtmpc_drake.planning.splines import Sparse
 from dtmpc_drake.planning.transcription import Transcription
 from dtmpc_drake.tube import cascade_bound
 
@@ -103,7 +104,7 @@ class Variables:
         self.blocks[name] = slice(self.size, self.size + count)
         self.size += count
 
-    def _state(self, index: int) -> Array:
+    def _state(self, index: int) -> Sparse:
         """One of the tube's states at all knots."""
         m, K = self.shape.outputs, self.shape.intervals + 1
         knots, axes = np.divmod(np.arange(K * m), m)
@@ -113,7 +114,7 @@ class Variables:
             (np.ones(K * m), columns, np.arange(K * m + 1)), shape=(K * m, self.size)
         )
 
-    def _kron(self, scalar: Array, block: str) -> Array:
+    def _kron(self, scalar: Sparse, block: str) -> Sparse:
         """A per-axis operator on one block, placed in the columns of z."""
         m = self.shape.outputs
         matrix = sp.kron(scalar, sp.eye_array(m), format="coo")
@@ -122,20 +123,20 @@ class Variables:
             shape=(matrix.shape[0], self.size),
         ).tocsr()
 
-    def _cascade(self, derivative: int) -> Array:
+    def _cascade(self, derivative: int) -> Sparse:
         shape, slope = self.shape, np.array(self.shape.slope)
         # `cascade_bound` is linear: its coefficient of stage j is what it gives
         # for a unit stage.
-        total = None
+        total: Sparse = None
         for j in range(derivative + 1):
             unit = np.zeros((shape.order, shape.outputs))
             unit[j] = 1.0
             factor = cascade_bound(unit, slope, derivative)
             term = sp.diags_array(np.tile(factor, shape.intervals + 1)) @ self.stages[j]
             total = term if total is None else total + term
-        return total.tocsr()  # type: ignore[union-attr]
+        return total.tocsr()
 
-    def _local(self) -> Array:
+    def _local(self) -> Sparse:
         """The operator whose rows are `Local.pack` at each knot."""
         n, m, K = (
             self.shape.order,
@@ -152,7 +153,7 @@ class Variables:
         rows = np.arange(len(parts) * K * m).reshape(len(parts), K, m)
         return stacked[rows.swapaxes(0, 1).ravel()]
 
-    def _tube_controls(self) -> Array:
+    def _tube_controls(self) -> Sparse:
         """Bézier points of Ω, rows ``(N, control_degree + 1, m)``."""
         shape, slope = self.shape, np.array(self.shape.slope)
         m, N = shape.outputs, shape.intervals

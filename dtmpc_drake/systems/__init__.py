@@ -14,10 +14,10 @@ __all__ = [
     "Plant",
     "Plant_",
     "Relay",
+    "SlidingError",
     "SlidingModeTracker",
     "SlidingModeTracker_",
     "TubeMonitor",
-    "SlidingError",
     "hold_plan",
     "tube_ratios",
 ]

@@ -6,6 +6,8 @@ so ``diagram.SetRandomContext(context, RandomGenerator(seed))`` decides it all.
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from pydrake.common import RandomDistribution
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
@@ -51,7 +53,7 @@ def MakeDisturbance(config: Disturbance, *, slope: Array, order: int) -> Diagram
     builder = DiagramBuilder()
     for stage in stages:
         builder.AddSystem(stage)
-    for upstream, downstream in zip(stages, stages[1:], strict=False):
+    for upstream, downstream in pairwise(stages):
         builder.Connect(upstream.get_output_port(), downstream.get_input_port())
     for i in range(stages[0].num_input_ports()):
         port = stages[0].get_input_port(i)

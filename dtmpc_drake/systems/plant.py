@@ -16,8 +16,7 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 from dtmpc_drake.models import Array, Model
 
 
-@TemplateSystem.define("Plant_")
-def Plant_(T: Any) -> Any:
+def _plant_of(T: Any) -> Any:
     """`Plant` for the scalar type T."""
 
     class Impl(LeafSystem_[T]):
@@ -137,4 +136,5 @@ def Plant_(T: Any) -> Any:
     return Impl
 
 
+Plant_ = TemplateSystem.define("Plant_")(_plant_of)
 Plant = Plant_[None]

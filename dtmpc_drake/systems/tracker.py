@@ -24,8 +24,7 @@ def _plain(time: Any) -> float:
     return float(time)
 
 
-@TemplateSystem.define("SlidingModeTracker_")
-def SlidingModeTracker_(T: Any) -> Any:
+def _tracker_of(T: Any) -> Any:
     """`SlidingModeTracker` for the scalar type T."""
 
     class Impl(LeafSystem_[T]):
@@ -100,4 +99,5 @@ def SlidingModeTracker_(T: Any) -> Any:
     return Impl
 
 
+SlidingModeTracker_ = TemplateSystem.define("SlidingModeTracker_")(_tracker_of)
 SlidingModeTracker = SlidingModeTracker_[None]

@@ -2,30 +2,38 @@
 
 from __future__ import annotations
 
-from typing import Any
+import dataclasses
+from typing import Any, ClassVar
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection, PathCollection
+from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Polygon
+from matplotlib.patches import Patch, PathPatch, Polygon
 from matplotlib.path import Path
 
-from dtmpc_drake.models import magnitude
+from dtmpc_drake.models import Array
 from dtmpc_drake.plan import FloatArray, Plan
 from dtmpc_drake.scenario import Scenario
-from dtmpc_drake.sliding import sliding_variable
+from dtmpc_drake.sliding import sliding_variable, switching_gain
 from dtmpc_drake.tightening import input_bound, rate_bound
-from dtmpc_drake.visualization.geometry import obstacle_sections, swept_boxes
+from dtmpc_drake.visualization.geometry import (
+    Ellipse,
+    obstacle_intervals,
+    obstacle_sections,
+    swept_boxes,
+)
 from dtmpc_drake.visualization.style import (
     BLACK,
     BLUE,
+    GREEN,
     GREY,
     LIGHT_GREY,
-    SKY,
+    PALE_BLUE,
     VERMILION,
     ColorBy,
     Coloring,
@@ -33,8 +41,14 @@ from dtmpc_drake.visualization.style import (
     unit_of,
 )
 
-_TUBE_PERIOD = 0.025  # between two boxes of a drawn tube, in s
+_PERIOD = 0.025  # between two samples of a drawn plan, in s
 _WIDTH = 10.0  # of a figure, in inches
+_INSET_RATIO = 0.42  # height by width
+
+_PLANNED: dict[str, Any] = {"color": BLUE, "lw": 1.5}
+_FLOWN: dict[str, Any] = {"color": VERMILION, "lw": 0.8, "zorder": 3}
+_LIMIT: dict[str, Any] = {"color": BLACK, "lw": 1.0, "ls": "--"}
+_TIGHTENED: dict[str, Any] = {"color": GREEN, "lw": 1.3, "ls": "-."}
 
 
 def plot_plan(
@@ -47,65 +61,425 @@ def plot_plan(
 ) -> Figure:
     """The plan from above: coloured reference, black tube, grey obstacles.
 
-    The tube is the exact outline of the box ±Ω swept along the reference.  Two
-    insets show where the tube comes closest to an obstacle.  Obstacles that
-    reach beyond the altitude at which they are passed are dashed outlines there.
-    A single output is drawn over time instead.
+    The tube is the exact outline of the box ±Ω that is swept along the
+    reference.  Two insets show the narrowest passage and the place where the
+    tube comes closest to an obstacle elsewhere.  Each obstacle is filled where
+    the tube could meet it at its own altitude; where it is wider above or below,
+    that part is a dashed outline.  A single output is drawn over time instead.
 
     Args:
         scenario: gives the obstacles.
         plan: a plan, or an infeasible attempt.
         position: of the vehicle, ``(K, m)`` or, for several flights,
             ``(flights, K, m)``, in m.
-        time: of the flight, ``(K,)``, in s; needed for a single output only.
+        time: of the flights, ``(K,)``, in s; uniform over the plan if left out.
+            Only a single output needs it.
         color_by: ``bandwidth`` or ``speed``.
 
     Returns:
-        A figure, to be saved with `Figure.savefig`.
-
-    Raises:
-        ValueError: if a single output comes with `position` but no `time`.
+        A figure, to be saved with ``savefig``.
     """
-    flights = [] if position is None else np.asarray(position)
-    flights = np.reshape(flights, (-1, *np.shape(flights)[-2:])) if len(flights) else []
+    flights = np.zeros((0, 2, plan.num_outputs))
+    if position is not None:
+        flights = np.reshape(position, (-1, *np.shape(position)[-2:]))
+    if time is None:
+        time = np.linspace(plan.start_time, plan.end_time, flights.shape[1])
     if plan.num_outputs == 1:
-        return _plot_over_time(scenario, plan, flights, time, color_by)
-    samples = plan.sample(_TUBE_PERIOD)
-    center, half = samples["position"], samples["position_tube"]
-    coloring = Coloring.along(plan, samples["time"], color_by)
-    # True to a look from above: with y to the right, x points down.
-    along_y = np.ptp(center[:, 1]) >= np.ptp(center[:, 0])
-    order = [1, 0] if along_y else [0, 1]
-    scene = _Scene(scenario, plan, coloring, center, half, flights, order)
+        return _plot_over_time(scenario, plan, flights[..., 0], time, color_by)
+    return _plot_from_above(scenario, plan, flights, color_by)
 
-    low, high = scene.window()
-    width, height = (high - low)[order]
-    spots = _closest_spots(scenario, plan)
-    rise = float(np.clip(0.86 * _WIDTH * height / width, 1.1, 5.0))
-    inset_height = 2.0 if spots else 0.0
-    figure = Figure(figsize=(_WIDTH, rise + inset_height + 1.2), layout="constrained")
+
+# From above.
+
+
+@dataclasses.dataclass(frozen=True)
+class _View:
+    """What a look from above shows, in any window.
+
+    Attributes:
+        order: the outputs along the horizontal and the vertical axis.
+        center: y*, ``(K, 2)``, in that order, as all that follows.
+        half: Ω, ``(K, 2)``.
+        flights: ``(flights, K', 2)``.
+        obstacles: sections (None if passed above or below) and silhouettes.
+        coloring: of the reference.
+    """
+
+    order: tuple[int, int]
+    center: FloatArray
+    half: FloatArray
+    flights: FloatArray
+    obstacles: list[tuple[Ellipse | None, Ellipse]]
+    coloring: Coloring
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    def window(self) -> tuple[FloatArray, FloatArray]:
+        """Corners that hold the tube and the obstacles beside it."""
+        low = (self.center - self.half).min(axis=0)
+        high = (self.center + self.half).max(axis=0)
+        reach = 0.12 * float((high - low).max())
+        lows, highs = [low], [high]
+        for _, silhouette in self.obstacles:
+            outline = silhouette.outline()[:, list(self.order)]
+            a, b = outline.min(axis=0), outline.max(axis=0)
+            if (a < high + reach).all() and (b > low - reach).all():
+                lows.append(np.maximum(a, low - reach))
+                highs.append(np.minimum(b, high + reach))
+        low, high = np.min(lows, axis=0), np.max(highs, axis=0)
+        margin = 0.012 * float((high - low).max())
+        return low - margin, high + margin
+
+    def draw(self, axes: Axes, low: FloatArray, high: FloatArray) -> None:
+        """Draws the part between two corners."""
+        order = list(self.order)
+        for section, silhouette in self.obstacles:
+            outline = silhouette.outline()[:, order]
+            filled = outline if section is None else section.outline()[:, order]
+            if section is None or not np.allclose(filled, outline, atol=1e-3):
+                axes.add_patch(
+                    Polygon(outline, fill=False, ec=GREY, lw=0.8, ls="--", zorder=1)
+                )
+            if section is not None:
+                axes.add_patch(Polygon(filled, fc=GREY, ec="none", zorder=1))
+                # Above the tube, so that an attempt shows what it cuts into.
+                axes.add_patch(
+                    Polygon(filled, fill=False, ec="#6E6E6E", lw=0.8, zorder=3)
+                )
+        # Stroke all boxes, then fill them: what stays black is the outline.
+        boxes = swept_boxes(self.center - self.half, self.center + self.half)
+        tube = Path.make_compound_path_from_polys(boxes)
+        axes.add_patch(
+            PathPatch(tube, fc="none", ec=BLACK, lw=2.0, joinstyle="round", zorder=2)
+        )
+        axes.add_patch(PathPatch(tube, fc=PALE_BLUE, ec="none", zorder=2.1))
+        for flight in self.flights:
+            many = len(self.flights) > 1
+            axes.plot(
+                *flight.T,
+                color=BLUE if many else VERMILION,
+                lw=0.5 if many else 1.2,
+                alpha=0.5 if many else 1.0,
+                zorder=5,
+            )
+        _colored_line(axes, self.center, self.coloring)
+        axes.set_xlim(low[0], high[0])
+        axes.set_ylim(low[1], high[1])
+        axes.set_aspect("equal")
+        if self.order == (1, 0):
+            axes.invert_yaxis()  # with y to the right, x points down
+        names = [axis_name(i, max(self.order) + 1) for i in self.order]
+        axes.set_xlabel(f"{names[0]} (m)")
+        axes.set_ylabel(f"{names[1]} (m)")
+
+
+def _plot_from_above(
+    scenario: Scenario, plan: Plan, flights: FloatArray, color_by: ColorBy
+) -> Figure:
+    samples = plan.sample(_PERIOD)
+    position, tube = samples["position"], samples["position_tube"]
+    along_y = np.ptp(position[:, 1]) >= np.ptp(position[:, 0])
+    order = (1, 0) if along_y else (0, 1)
+    columns = list(order)
+    obstacles = scenario.obstacle_set()
+    view = _View(
+        order=order,
+        center=position[:, columns],
+        half=tube[:, columns],
+        flights=flights[..., columns],
+        obstacles=obstacle_sections(obstacles, position, tube),
+        coloring=Coloring.along(plan, samples["time"], color_by),
+    )
+    low, high = view.window()
+    width, height = high - low
+    spots = _tight_spots(scenario, position, tube) if len(obstacles) else []
+
+    # Rows as tall as what they show at equal scales, labels apart.
+    rise = float(np.clip(0.86 * _WIDTH * height / width, 1.0, 6.0))
+    below = 0.44 * _WIDTH * _INSET_RATIO if spots else 0.0
+    extra = 1.15 + (0.75 if spots else 0.0)
+    figure = Figure(figsize=(_WIDTH, rise + below + extra), dpi=150)
+    figure.set_layout_engine("constrained")
     grid = figure.add_gridspec(
         2 if spots else 1,
         max(len(spots), 1),
-        height_ratios=[rise, inset_height] if spots else None,
+        height_ratios=[rise, below] if spots else [rise],
     )
     main = figure.add_subplot(grid[0, :])
-    scene.draw(main, low, high)
-    main.set_title(scenario.name.replace("_", " "), loc="left", fontsize=11)
-    for i, (spot, gap) in enumerate(spots):
-        inset = figure.add_subplot(grid[1, i])
-        span = np.zeros(plan.num_outputs)
-        span[order] = np.array([4.2, 2.0]) / len(spots)
-        scene.draw(inset, spot - span / 2, spot + span / 2)
-        inset.set_title(
-            f"clearance of the tube {gap:.3f} m", loc="left", fontsize=9
+    view.draw(main, low, high)
+    panels = [main]
+    span = 0.15 * width * np.array([1.0, _INSET_RATIO])
+    for i, (title, k, clearance) in enumerate(spots):
+        panel = figure.add_subplot(grid[1, i])
+        corner = view.center[k] - span / 2
+        view.draw(panel, corner, corner + span)
+        panel.set_title(
+            f"{title}: tube {abs(clearance):.3f} m"
+            + (" clear" if clearance >= 0 else " inside an obstacle"),
+            fontsize=9,
         )
-        corners = np.stack([spot - span / 2, spot + span / 2])[:, order]
         main.indicate_inset(
-            (*corners[0], *(corners[1] - corners[0])), inset, edgecolor=BLACK
+            (corner[0], corner[1], span[0], span[1]), panel, edgecolor=BLACK, alpha=0.8
         )
-    _color_bar(figure, main, coloring)
+        panels.append(panel)
+    _color_bar(figure, panels, view.coloring)
+    _legend(figure, scenario, len(flights))
+    return figure
+
+
+def _tight_spots(
+    scenario: Scenario, position: FloatArray, tube: FloatArray
+) -> list[tuple[str, int, float]]:
+    """Where to look closer: title, sample and the tube's clearance there."""
+    obstacles, margin = scenario.obstacle_set(), scenario.planner.tube_margin
+    clearance = obstacles.clearance(position, tube, margin).min(axis=1)
+    distance = np.sort(obstacles.clearance(position), axis=1)
+    spots = []
+    away = np.ones(len(position), dtype=bool)
+    if len(obstacles) > 1:
+        k = int(distance[:, :2].sum(axis=1).argmin())
+        spots.append(("narrowest passage", k, float(clearance[k])))
+        apart = np.linalg.norm(position - position[k], axis=1)
+        away = apart > 0.15 * np.linalg.norm(np.ptp(position, axis=0))
+    if away.any():
+        # Of several equally close places, the one in the middle.
+        smallest = clearance[away].min()
+        near = np.flatnonzero(away & (clearance < smallest + 0.01))
+        k = int(near[len(near) // 2])
+        spots.append(("closest elsewhere" if spots else "closest", k, clearance[k]))
+    return spots
+
+
+def _plot_over_time(
+    scenario: Scenario,
+    plan: Plan,
+    flights: FloatArray,
+    time: FloatArray,
+    color_by: ColorBy,
+) -> Figure:
+    samples = plan.sample(_PERIOD)
+    now, center = samples["time"], samples["position"][:, 0]
+    half = samples["position_tube"][:, 0]
+    coloring = Coloring.along(plan, now, color_by)
+    figure = Figure(figsize=(7.0, 3.6), dpi=150, layout="constrained")
+    axes = figure.add_subplot()
+    axes.fill_between(now, center - half, center + half, fc=PALE_BLUE, ec="none")
+    for edge in (center - half, center + half):
+        axes.plot(now, edge, color=BLACK, lw=1.0)
+    for flight in flights:
+        axes.plot(time, flight, color=VERMILION, lw=1.2, zorder=5)
+    _colored_line(axes, np.stack([now, center], axis=1), coloring)
+    axes.margins(x=0.02)
+    bottom, top = axes.get_ylim()
+    for low, high in obstacle_intervals(scenario.obstacle_set()):
+        axes.axhspan(low, high, fc=GREY, ec="#6E6E6E", lw=0.8, zorder=1)
+        if low < 2 * top - bottom and high > 2 * bottom - top:
+            bottom, top = min(bottom, low), max(top, high)
+    axes.set_ylim(bottom, top)
+    axes.set_xlabel("time (s)")
+    axes.set_ylabel("position y (m)")
+    _color_bar(figure, [axes], coloring)
+    _legend(figure, scenario, len(flights))
+    return figure
+
+
+def _colored_line(axes: Axes, points: FloatArray, coloring: Coloring) -> None:
+    """The reference; a dark edge keeps its light end visible."""
+    axes.plot(*points.T, color="#404040", lw=3.2, zorder=4, solid_capstyle="round")
+    line = LineCollection(
+        np.stack([points[:-1], points[1:]], axis=1),
+        cmap=coloring.colormap,
+        norm=Normalize(coloring.low, coloring.high),
+        lw=2.4,
+        capstyle="round",
+        zorder=4.1,
+    )
+    line.set_array((coloring.values[:-1] + coloring.values[1:]) / 2)
+    axes.add_collection(line, autolim=False)
+
+
+def _color_bar(figure: Figure, axes: list[Axes], coloring: Coloring) -> None:
+    mappable = ScalarMappable(
+        Normalize(coloring.low, coloring.high), coloring.colormap
+    )
+    bar = figure.colorbar(mappable, ax=axes, pad=0.015, fraction=0.03, aspect=28)
+    bar.set_label(f"{coloring.label} ({coloring.unit})")
+
+
+def _legend(figure: Figure, scenario: Scenario, flights: int) -> None:
+    handles: list[Artist] = [
+        Line2D([], [], color="#404040", lw=3.2, label="reference, in colour"),
+        Patch(fc=PALE_BLUE, ec=BLACK, label="tube"),
+    ]
+    if flights:
+        handles.append(
+            Line2D(
+                [],
+                [],
+                color=BLUE if flights > 1 else VERMILION,
+                lw=1.2,
+                label=f"{flights} flights" if flights > 1 else "flown",
+            )
+        )
+    if scenario.obstacles:
+        handles.append(Patch(fc=GREY, ec="#6E6E6E", label="obstacle"))
     figure.legend(
-        handles=scene.handles(), loc="outside upper right", ncols=5, frameon=False
+        handles=handles, loc="outside upper center", ncols=len(handles), frameon=False
+    )
+
+
+# Over time.
+
+
+def plot_histories(
+    *,
+    scenario: Scenario,
+    plan: Plan,
+    time: FloatArray | None = None,
+    state: FloatArray | None = None,
+    control: FloatArray | None = None,
+) -> Figure:
+    """Errors, bandwidth, speed and input over time, each with its bounds.
+
+    One column for every output: tracking error inside ±Ω, sliding variable
+    inside ±Φ, bandwidth α and its limits, speed and its limit before and after
+    tightening (limit - W).  Below, the norm of the input: what the plan asks
+    for, with the feedback's bound on top, and the limit.
+
+    Args:
+        scenario: gives limits, model and controller.
+        plan: a plan, or an infeasible attempt.
+        time: of a flight, ``(K,)``, in s.
+        state: x of the flight, ``(K, n, m)`` or ``(K, n m)`` with the
+            derivatives one after the other.
+        control: u of the flight, ``(K, m)``.
+
+    Returns:
+        A figure, to be saved with ``savefig``.
+
+    Raises:
+        ValueError: if `state` or `control` comes without `time`.
+    """
+    if time is None and (state is not None or control is not None):
+        raise ValueError("time: missing, but state or control is given")
+    n, m = plan.order, plan.num_outputs
+    model, slope = scenario.planning_model(), scenario.slope()
+    now = plan.sample_times(_PERIOD)
+    reference, bound = plan.reference(now), plan.error_bound(now)
+    layer, layer_rate = plan.layer(now)
+    gain = switching_gain(
+        model_error_bound=model.model_error_bound(reference[:, :n]),
+        disturbance_bound=scenario.disturbance_bound(),
+        reaching_rate=scenario.controller.reaching_rate,
+        boundary_layer_rate=layer_rate,
+    )
+    speed_bound = rate_bound(
+        model=model,
+        reference=reference[:, :n],
+        error_bound=bound,
+        gain=gain,
+        disturbance_bound=scenario.disturbance_bound(),
+    )
+    flown: Array | None = None
+    if state is not None and time is not None:
+        flown = np.reshape(state, (len(time), n, m))
+        error = flown - plan.reference(time)[:, :n]
+
+    rows = ["error", "sliding", "bandwidth", "speed"]
+    if n == 1:
+        rows.remove("sliding")  # s is the error itself
+    figure = Figure(
+        figsize=(max(6.0, 1.5 + 2.9 * m), 1.75 * (len(rows) + 1) + 0.5),
+        dpi=150,
+        layout="constrained",
+    )
+    grid = figure.add_gridspec(len(rows) + 1, m)
+    bottom = figure.add_subplot(grid[-1, :])
+    panels: dict[tuple[str, int], Axes] = {}
+    for row, name in enumerate(rows):
+        for i in range(m):
+            panels[name, i] = figure.add_subplot(
+                grid[row, i], sharex=bottom, sharey=panels.get((name, 0))
+            )
+            panels[name, i].tick_params(labelbottom=False, labelleft=i == 0)
+    for i in range(m):
+        panel = panels["error", i]
+        panel.set_title(f"output {axis_name(i, m)}" if m > 1 else "", fontsize=10)
+        _band(panel, now, bound[:, 0, i])
+        if flown is not None:
+            panel.plot(time, error[:, 0, i], **_FLOWN)
+        if n > 1:
+            panel = panels["sliding", i]
+            _band(panel, now, layer[:, i])
+            if flown is not None:
+                s = sliding_variable(error, slope)
+                panel.plot(time, s[:, i], **_FLOWN)
+        panel = panels["bandwidth", i]
+        allowed = scenario.controller.bandwidth
+        for limit in {allowed.min, allowed.max}:
+            panel.axhline(limit, **_LIMIT)
+        panel.plot(now, plan.bandwidth(now)[:, i], **_PLANNED)
+        panel.set_ylim(0.0, 1.12 * allowed.max)
+        panel = panels["speed", i]
+        panel.axhline(scenario.limits.speed, **_LIMIT)
+        panel.plot(now, scenario.limits.speed - speed_bound[:, i], **_TIGHTENED)
+        panel.plot(now, np.abs(reference[:, 1, i]), **_PLANNED)
+        if flown is not None and n > 1:
+            panel.plot(time, np.abs(flown[:, 1, i]), **_FLOWN)
+        panel.set_ylim(bottom=0.0)
+    labels = {
+        "error": "tracking\nerror ỹ (m)",
+        "sliding": f"sliding\nvariable s ({unit_of(n - 1)})",
+        "bandwidth": "bandwidth α\n(rad/s)",
+        "speed": f"speed |ẏ|\n({unit_of(1)})",
+    }
+    if n == 1:
+        labels["error"] = "tracking\nerror ỹ = s (m)"
+    for name in rows:
+        panels[name, 0].set_ylabel(labels[name])
+
+    inverse = model.inverse_input_matrix(reference[:, :n])
+    planned = (inverse * reference[:, n, None, :]).sum(axis=-1)
+    largest = input_bound(
+        model=model,
+        reference=reference[:, :n],
+        highest=reference[:, n],
+        error_bound=bound,
+        gain=gain,
+        slope=slope,
+    )
+    bottom.axhline(scenario.limits.input, **_LIMIT)
+    bottom.plot(now, largest, **_TIGHTENED)
+    bottom.plot(now, np.linalg.norm(planned, axis=1), **_PLANNED)
+    if control is not None and time is not None:
+        norm = np.linalg.norm(np.reshape(control, (len(time), m)), axis=1)
+        bottom.plot(time, norm, **_FLOWN)
+    bottom.set_ylim(0.0, 1.08 * max(scenario.limits.input, float(largest.max())))
+    bottom.set_ylabel(f"input norm ‖u‖\n({unit_of(n)})")
+    bottom.set_xlabel("time (s)")
+    bottom.set_xlim(now[0], now[-1])
+    for axes in figure.axes:
+        axes.grid(True, color=LIGHT_GREY, lw=0.5)
+        axes.set_axisbelow(True)
+    figure.align_ylabels()
+    handles: list[Artist] = [
+        Patch(fc=PALE_BLUE, ec=BLACK, label="tube ±Ω" + (", ±Φ" if n > 1 else "")),
+        Line2D([], [], label="planned", **_PLANNED),
+        Line2D([], [], label="limit", **_LIMIT),
+        Line2D([], [], label="tightened limit; input bound", **_TIGHTENED),
+    ]
+    if flown is not None or control is not None:
+        handles.insert(2, Line2D([], [], label="flown", **_FLOWN))
+    figure.legend(
+        handles=handles,
+        loc="outside upper center",
+        ncols=len(handles) if m > 1 else 3,
+        frameon=False,
     )
     return figure
+
+
+def _band(axes: Axes, time: FloatArray, half: FloatArray) -> None:
+    axes.fill_between(time, -half, half, fc=PALE_BLUE, ec="none", zorder=1)
+    for edge in (-half, half):
+        axes.plot(time, edge, color=BLACK, lw=0.9, zorder=2)

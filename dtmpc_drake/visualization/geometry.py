@@ -89,6 +89,15 @@ def obstacle_sections(
     return shapes
 
 
+def obstacle_intervals(obstacles: ObstacleSet) -> FloatArray:
+    """The ends of every obstacle of a vehicle with one output, ``(o, 2)``."""
+    H = obstacles.shape[:, :, 0]
+    stretch = np.linalg.norm(H, axis=1)
+    center = (H * obstacles.center).sum(axis=1) / stretch**2
+    half = obstacles.radius / stretch
+    return np.stack([center - half, center + half], axis=1)
+
+
 def _half_axes(Q: FloatArray) -> FloatArray:
     """The half-axes of ``{w: wᵀ Q w <= 1}`` as columns, at most 10⁴ long."""
     values, vectors = np.linalg.eigh(Q)
@@ -237,3 +246,29 @@ def swept_mesh(
     caps = [fan, (K - 1) * R + fan[:, ::-1]]
     faces = np.concatenate([*caps, sides.reshape(-1, 3)]).astype(np.int32)
     return rings.reshape(-1, 3), faces
+
+
+def swept_boxes(low: FloatArray, high: FloatArray) -> FloatArray:
+    """Quadrilaterals whose union is a rectangle swept through all samples.
+
+    Between two samples the rectangle's corners move on straight lines, so the
+    union is exact: every rectangle, and what each of its edges sweeps over.
+
+    Args:
+        low, high: corners at the samples, ``(K, 2)``.
+
+    Returns:
+        Shape ``(Q, 4, 2)``, all counter-clockwise.
+    """
+    x, y = np.stack([low[:, 0], high[:, 0]]), np.stack([low[:, 1], high[:, 1]])
+    corners = np.stack(
+        [np.stack([x[i], y[j]], axis=-1) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))],
+        axis=1,
+    )
+    start, end = corners, np.roll(corners, -1, axis=1)
+    edges = np.stack([start[:-1], end[:-1], end[1:], start[1:]], axis=2)
+    quads = np.concatenate([corners, edges.reshape(-1, 4, 2)])
+    x, y = quads[..., 0], quads[..., 1]
+    area = (x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y).sum(axis=1)
+    quads[area < 0] = quads[area < 0, ::-1]
+    return quads

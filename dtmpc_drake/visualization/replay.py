@@ -143,8 +143,7 @@ def add_scene(
     add_vehicle(meshcat, num_outputs=plan.num_outputs, radius=_radius(scenario, plan))
     E = embedding(plan.num_outputs)
     start = RigidTransform(E @ plan.reference(plan.start_time)[0])
-    for name in ("vehicle", "reference_now"):
-        meshcat.SetTransform(f"{ROOT}/{name}", start)
+    meshcat.SetTransform(f"{ROOT}/vehicle", start)
     set_camera(meshcat, low=low, high=high)
 
 

@@ -16,7 +16,7 @@ ColorBy = Literal["bandwidth", "speed"]
 # Okabe and Ito's palette, which colour-blind readers can tell apart.
 BLUE = "#0072B2"
 VERMILION = "#D55E00"
-SKY = "#56B4E9"
+PALE_BLUE = "#E4F0F8"
 GREEN = "#009E73"
 BLACK = "#1A1A1A"
 GREY = "#9A9A9A"
