@@ -67,16 +67,18 @@ class Experiment:
             lines.append("simulation      none: there is no certified plan to fly")
         else:
             seen = self.log.extremes()
+            n = self.scenario.model.order
+            unit = "m/s" if n == 1 else f"m/s^{n}"
             lines += [
                 "simulation      worst"
                 f" |s|/Φ {seen['worst_layer_ratio']:.3f},"
                 f" |ỹ|/Ω {seen['worst_position_ratio']:.3f},"
                 f" |dỹ/dt|/W {seen['worst_velocity_ratio']:.3f}",
-                " " * 16 + f"smallest clearance {seen['smallest_clearance']:.3f} m,"
-                f" largest input {seen['largest_input']:.3f},"
+                f"{'':16}smallest clearance {seen['smallest_clearance']:.3f} m",
+                f"{'':16}largest input {seen['largest_input']:.3f} {unit},"
                 f" largest speed {seen['largest_speed']:.3f} m/s",
             ]
-        lines += ["", *(str(path) for path in self.files)]
+        lines += ["", "files", *(f"  {path}" for path in self.files)]
         return "\n".join(lines)
 
 

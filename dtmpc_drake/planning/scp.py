@@ -573,6 +573,8 @@ def iterate_to_convergence(
                 status=status,
             )
         )
+        moved = np.abs(trial.local.state - current.local.state)[:, 1:].max(initial=0.0)
+        secant = float(np.clip(moved, SECANT / 20, SECANT))
         costs.append(current.cost)
         current, worst = trial, trial_worst
         stuck = 0 if fraction else stuck + 1
@@ -581,12 +583,12 @@ def iterate_to_convergence(
         done = predicted <= little or stuck > 3
         if worst <= BACKOFF and (done or (slow and not stuck)):
             return Result(current, True, worst)
-        if done or (slow and slack > BACKOFF):
+        if done:
             if penalty >= MAX_PENALTY:
                 return Result(current, False, worst)
             penalty, stuck = 10 * penalty, 0
         if fraction < 0.3:
-            proximity, secant = max(4 * proximity, 0.1), secant / 4
+            proximity = max(4 * proximity, 0.1)
         elif fraction == 1.0:
-            proximity, secant = proximity / 4, min(2 * secant, SECANT)
+            proximity = proximity / 4
     return Result(current, False, worst)

@@ -27,7 +27,7 @@ from dtmpc_drake.tube import Tube, propagate
 
 HAIR = 2e-3
 """By how much the bandwidth stays inside its limits, relative."""
-INPUT_HAIR = 1e-3
+INPUT_HAIR = 2e-3
 """By how much the input does: the tube's pieces round off the model's kinks."""
 BLEND = 0.125
 """Part of the way, at each end, in which a start is bent to meet the ends."""

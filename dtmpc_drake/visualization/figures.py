@@ -13,7 +13,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, PathPatch, Polygon
+from matplotlib.patches import ConnectionPatch, Patch, PathPatch, Polygon, Rectangle
 from matplotlib.path import Path
 
 from dtmpc_drake.models import Array
@@ -30,6 +30,7 @@ from dtmpc_drake.visualization.geometry import (
 from dtmpc_drake.visualization.style import (
     BLACK,
     BLUE,
+    EDGE,
     GREEN,
     GREY,
     LIGHT_GREY,
@@ -130,7 +131,9 @@ class _View:
         margin = 0.012 * float((high - low).max())
         return low - margin, high + margin
 
-    def draw(self, axes: Axes, low: FloatArray, high: FloatArray) -> None:
+    def draw(
+        self, axes: Axes, low: FloatArray, high: FloatArray, line_width: float
+    ) -> None:
         """Draws the part between two corners."""
         order = list(self.order)
         for section, silhouette in self.obstacles:
@@ -143,9 +146,7 @@ class _View:
             if section is not None:
                 axes.add_patch(Polygon(filled, fc=GREY, ec="none", zorder=1))
                 # Above the tube, so that an attempt shows what it cuts into.
-                axes.add_patch(
-                    Polygon(filled, fill=False, ec="#6E6E6E", lw=0.8, zorder=3)
-                )
+                axes.add_patch(Polygon(filled, fill=False, ec=EDGE, lw=0.8, zorder=3))
         # Stroke all boxes, then fill them: what stays black is the outline.
         boxes = swept_boxes(self.center - self.half, self.center + self.half)
         tube = Path.make_compound_path_from_polys(boxes)
@@ -158,11 +159,11 @@ class _View:
             axes.plot(
                 *flight.T,
                 color=BLUE if many else VERMILION,
-                lw=0.5 if many else 1.2,
+                lw=0.5 if many else 1.0,
                 alpha=0.5 if many else 1.0,
                 zorder=5,
             )
-        _colored_line(axes, self.center, self.coloring)
+        _colored_line(axes, self.center, self.coloring, line_width)
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])
         axes.set_aspect("equal")
@@ -192,12 +193,15 @@ def _plot_from_above(
     )
     low, high = view.window()
     width, height = high - low
-    spots = _tight_spots(scenario, position, tube) if len(obstacles) else []
+    span = 0.15 * width * np.array([1.0, _INSET_RATIO])
+    spots = (
+        _tight_spots(scenario, position, tube, span[0] / 2) if len(obstacles) else []
+    )
 
     # Rows as tall as what they show at equal scales, labels apart.
-    rise = float(np.clip(0.86 * _WIDTH * height / width, 1.0, 6.0))
-    below = 0.44 * _WIDTH * _INSET_RATIO if spots else 0.0
-    extra = 1.15 + (0.75 if spots else 0.0)
+    rise = float(np.clip(0.835 * _WIDTH * height / width, 1.0, 6.0))
+    below = 0.38 * _WIDTH * _INSET_RATIO if spots else 0.0
+    extra = 0.9 + (0.85 if spots else 0.0)
     figure = Figure(figsize=(_WIDTH, rise + below + extra), dpi=150)
     figure.set_layout_engine("constrained")
     grid = figure.add_gridspec(
@@ -206,47 +210,75 @@ def _plot_from_above(
         height_ratios=[rise, below] if spots else [rise],
     )
     main = figure.add_subplot(grid[0, :])
-    view.draw(main, low, high)
+    view.draw(main, low, high, 2.0)
     panels = [main]
-    span = 0.15 * width * np.array([1.0, _INSET_RATIO])
     for i, (title, k, clearance) in enumerate(spots):
         panel = figure.add_subplot(grid[1, i])
         corner = view.center[k] - span / 2
-        view.draw(panel, corner, corner + span)
+        view.draw(panel, corner, corner + span, 3.8)
         panel.set_title(
-            f"{title}: tube {abs(clearance):.3f} m"
-            + (" clear" if clearance >= 0 else " inside an obstacle"),
+            f"{title}: tube {abs(clearance):.3f} m "
+            + ("from an obstacle" if clearance >= 0 else "inside an obstacle"),
             fontsize=9,
         )
-        main.indicate_inset(
-            (corner[0], corner[1], span[0], span[1]), panel, edgecolor=BLACK, alpha=0.8
-        )
+        _connect(figure, main, panel)
         panels.append(panel)
     _color_bar(figure, panels, view.coloring)
-    _legend(figure, scenario, len(flights))
+    _legend(figure, scenario, view.coloring, len(flights))
     return figure
 
 
+def _connect(figure: Figure, main: Axes, panel: Axes) -> None:
+    """Frames a panel's window in the main axes and leads down to the panel."""
+    (left, right), (bottom, top) = panel.get_xlim(), panel.get_ylim()
+    style: dict[str, Any] = {"ec": BLACK, "lw": 0.7, "alpha": 0.6}
+    main.add_patch(
+        Rectangle(
+            (left, bottom), right - left, top - bottom, fill=False, zorder=6, **style
+        )
+    )
+    for x, side in ((left, 0.0), (right, 1.0)):
+        leader = ConnectionPatch(
+            (x, bottom), (side, 1.0), main.transData, panel.transAxes, **style
+        )
+        leader.set_in_layout(False)
+        figure.add_artist(leader)
+
+
 def _tight_spots(
-    scenario: Scenario, position: FloatArray, tube: FloatArray
+    scenario: Scenario, position: FloatArray, tube: FloatArray, reach: float
 ) -> list[tuple[str, int, float]]:
-    """Where to look closer: title, sample and the tube's clearance there."""
-    obstacles, margin = scenario.obstacle_set(), scenario.planner.tube_margin
-    clearance = obstacles.clearance(position, tube, margin).min(axis=1)
-    distance = np.sort(obstacles.clearance(position), axis=1)
-    spots = []
-    away = np.ones(len(position), dtype=bool)
+    """Where to look closer.
+
+    Args:
+        scenario: gives the obstacles, at least one.
+        position: y*, ``(K, m)``.
+        tube: Ω, ``(K, m)``.
+        reach: how far a look goes, in m.
+
+    Returns:
+        Title, sample, and the smallest clearance of the drawn tube in reach.
+    """
+    obstacles = scenario.obstacle_set()
+    clearance = obstacles.clearance(position, tube, "support").min(axis=1)
+    samples = []
+    titles = ["narrowest passage", "closest elsewhere"]
     if len(obstacles) > 1:
-        k = int(distance[:, :2].sum(axis=1).argmin())
-        spots.append(("narrowest passage", k, float(clearance[k])))
-        apart = np.linalg.norm(position - position[k], axis=1)
-        away = apart > 0.15 * np.linalg.norm(np.ptp(position, axis=0))
+        distance = np.sort(obstacles.clearance(position), axis=1)
+        samples.append(int(distance[:, :2].sum(axis=1).argmin()))
+    else:
+        titles = ["closest"]
+    away = np.ones(len(position), dtype=bool)
+    for k in samples:
+        away &= np.linalg.norm(position - position[k], axis=1) > 2 * reach
     if away.any():
         # Of several equally close places, the one in the middle.
-        smallest = clearance[away].min()
-        near = np.flatnonzero(away & (clearance < smallest + 0.01))
-        k = int(near[len(near) // 2])
-        spots.append(("closest elsewhere" if spots else "closest", k, clearance[k]))
+        near = np.flatnonzero(away & (clearance < clearance[away].min() + 0.01))
+        samples.append(int(near[len(near) // 2]))
+    spots = []
+    for title, k in zip(titles, samples, strict=False):
+        seen = np.linalg.norm(position - position[k], axis=1) <= reach
+        spots.append((title, k, float(clearance[seen].min())))
     return spots
 
 
@@ -268,29 +300,31 @@ def _plot_over_time(
         axes.plot(now, edge, color=BLACK, lw=1.0)
     for flight in flights:
         axes.plot(time, flight, color=VERMILION, lw=1.2, zorder=5)
-    _colored_line(axes, np.stack([now, center], axis=1), coloring)
+    _colored_line(axes, np.stack([now, center], axis=1), coloring, 3.0)
     axes.margins(x=0.02)
     bottom, top = axes.get_ylim()
     for low, high in obstacle_intervals(scenario.obstacle_set()):
-        axes.axhspan(low, high, fc=GREY, ec="#6E6E6E", lw=0.8, zorder=1)
+        axes.axhspan(low, high, fc=GREY, ec=EDGE, lw=0.8, zorder=1)
         if low < 2 * top - bottom and high > 2 * bottom - top:
             bottom, top = min(bottom, low), max(top, high)
     axes.set_ylim(bottom, top)
     axes.set_xlabel("time (s)")
     axes.set_ylabel("position y (m)")
     _color_bar(figure, [axes], coloring)
-    _legend(figure, scenario, len(flights))
+    _legend(figure, scenario, coloring, len(flights))
     return figure
 
 
-def _colored_line(axes: Axes, points: FloatArray, coloring: Coloring) -> None:
+def _colored_line(
+    axes: Axes, points: FloatArray, coloring: Coloring, width: float
+) -> None:
     """The reference; a dark edge keeps its light end visible."""
-    axes.plot(*points.T, color="#404040", lw=3.2, zorder=4, solid_capstyle="round")
+    axes.plot(*points.T, color=EDGE, lw=width + 0.8, zorder=4, solid_capstyle="round")
     line = LineCollection(
         np.stack([points[:-1], points[1:]], axis=1),
         cmap=coloring.colormap,
         norm=Normalize(coloring.low, coloring.high),
-        lw=2.4,
+        lw=width,
         capstyle="round",
         zorder=4.1,
     )
@@ -299,16 +333,16 @@ def _colored_line(axes: Axes, points: FloatArray, coloring: Coloring) -> None:
 
 
 def _color_bar(figure: Figure, axes: list[Axes], coloring: Coloring) -> None:
-    mappable = ScalarMappable(
-        Normalize(coloring.low, coloring.high), coloring.colormap
-    )
+    mappable = ScalarMappable(Normalize(coloring.low, coloring.high), coloring.colormap)
     bar = figure.colorbar(mappable, ax=axes, pad=0.015, fraction=0.03, aspect=28)
     bar.set_label(f"{coloring.label} ({coloring.unit})")
 
 
-def _legend(figure: Figure, scenario: Scenario, flights: int) -> None:
+def _legend(
+    figure: Figure, scenario: Scenario, coloring: Coloring, flights: int
+) -> None:
     handles: list[Artist] = [
-        Line2D([], [], color="#404040", lw=3.2, label="reference, in colour"),
+        Line2D([], [], color=coloring.colormap(0.55), lw=3.8, label="reference"),
         Patch(fc=PALE_BLUE, ec=BLACK, label="tube"),
     ]
     if flights:
@@ -322,7 +356,7 @@ def _legend(figure: Figure, scenario: Scenario, flights: int) -> None:
             )
         )
     if scenario.obstacles:
-        handles.append(Patch(fc=GREY, ec="#6E6E6E", label="obstacle"))
+        handles.append(Patch(fc=GREY, ec=EDGE, label="obstacle"))
     figure.legend(
         handles=handles, loc="outside upper center", ncols=len(handles), frameon=False
     )
@@ -404,7 +438,7 @@ def plot_histories(
             panels[name, i].tick_params(labelbottom=False, labelleft=i == 0)
     for i in range(m):
         panel = panels["error", i]
-        panel.set_title(f"output {axis_name(i, m)}" if m > 1 else "", fontsize=10)
+        panel.set_title(f"along {axis_name(i, m)}" if m > 1 else "", fontsize=10)
         _band(panel, now, bound[:, 0, i])
         if flown is not None:
             panel.plot(time, error[:, 0, i], **_FLOWN)
@@ -416,8 +450,9 @@ def plot_histories(
                 panel.plot(time, s[:, i], **_FLOWN)
         panel = panels["bandwidth", i]
         allowed = scenario.controller.bandwidth
-        for limit in {allowed.min, allowed.max}:
-            panel.axhline(limit, **_LIMIT)
+        if allowed.fixed is None:
+            panel.axhline(allowed.min, **_LIMIT)
+            panel.axhline(allowed.max, **_LIMIT)
         panel.plot(now, plan.bandwidth(now)[:, i], **_PLANNED)
         panel.set_ylim(0.0, 1.12 * allowed.max)
         panel = panels["speed", i]
@@ -466,7 +501,7 @@ def plot_histories(
         Patch(fc=PALE_BLUE, ec=BLACK, label="tube ±Ω" + (", ±Φ" if n > 1 else "")),
         Line2D([], [], label="planned", **_PLANNED),
         Line2D([], [], label="limit", **_LIMIT),
-        Line2D([], [], label="tightened limit; input bound", **_TIGHTENED),
+        Line2D([], [], label="tightened speed limit; bound of ‖u‖", **_TIGHTENED),
     ]
     if flown is not None or control is not None:
         handles.insert(2, Line2D([], [], label="flown", **_FLOWN))

@@ -10,6 +10,7 @@ import dataclasses
 from typing import ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
 from dtmpc_drake.obstacles import ObstacleSet
 from dtmpc_drake.plan import FloatArray
@@ -129,7 +130,13 @@ def obstacle_solids(
     Where H does not look, an obstacle has no end: there it fills the field.
 
     Args:
-        low, high: corners of the field, ``(3,)``.
+        obstacles: to draw.
+        num_outputs: m.
+        low: one corner of the field, ``(3,)``.
+        high: the opposite corner.
+
+    Returns:
+        One solid for each obstacle.
     """
     E = embedding(num_outputs)
     middle, size = (low + high) / 2, high - low
@@ -186,9 +193,7 @@ def travel_frames(velocity: FloatArray) -> FloatArray:
     source[source < 0] = known.argmax()
     heading = horizontal[source]
     heading /= np.linalg.norm(heading, axis=1, keepdims=True)
-    left = np.stack(
-        [-heading[:, 1], heading[:, 0], np.zeros(len(heading))], axis=1
-    )
+    left = np.stack([-heading[:, 1], heading[:, 0], np.zeros(len(heading))], axis=1)
     total = np.linalg.norm(velocity, axis=1, keepdims=True)
     moving = (total > 0.02 * max(float(total.max()), 1e-9)) & known[:, None]
     forward = np.where(moving, velocity / np.maximum(total, 1e-9), heading)
@@ -214,19 +219,17 @@ def tube_rings(
     frames = travel_frames(velocity)
     side, up = frames[:, :, 1], frames[:, :, 2]
     # A vehicle that turns back must not twist its tube.
-    sign = np.cumprod(
-        np.where((side[1:] * side[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
-    )
+    sign = np.cumprod(np.where((side[1:] * side[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))
     side = side * np.concatenate([[1.0], sign])[:, None]
     width = (np.abs(side) * half_axes).sum(axis=1)[:, None] * side
     height = (np.abs(up) * half_axes).sum(axis=1)[:, None] * up
     corners = [width + height, width - height, -width - height, height - width]
-    return position[:, None] + np.stack(corners, axis=1)
+    return np.asarray(position[:, None] + np.stack(corners, axis=1))
 
 
 def swept_mesh(
     rings: FloatArray, *, closed: bool = True
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, npt.NDArray[np.int32]]:
     """Triangles between consecutive rings, and over both ends.
 
     Args:
@@ -255,7 +258,8 @@ def swept_boxes(low: FloatArray, high: FloatArray) -> FloatArray:
     union is exact: every rectangle, and what each of its edges sweeps over.
 
     Args:
-        low, high: corners at the samples, ``(K, 2)``.
+        low: one corner at the samples, ``(K, 2)``.
+        high: the opposite corner, at least `low`.
 
     Returns:
         Shape ``(Q, 4, 2)``, all counter-clockwise.

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import html
+import itertools
 import json
 import logging
 from collections.abc import Iterator
@@ -239,8 +240,12 @@ def add_obstacles(
     """The scenario's obstacles, in grey; those without an end fill the field.
 
     Args:
-        low, high: corners of the field, ``(3,)``, as from `field_corners`.
-        color, opacity: of all of them.
+        meshcat: to draw into.
+        scenario: gives the obstacles.
+        low: one corner of the field, ``(3,)``, as from `field_corners`.
+        high: the opposite corner.
+        color: of all of them.
+        opacity: of all of them.
         name: of the group, so that known and unknown ones can be told apart.
     """
     solids = obstacle_solids(
@@ -298,7 +303,10 @@ def add_vehicle(
     """A quadrotor (in three dimensions) or a puck; the model itself is a point.
 
     Args:
+        meshcat: to draw into.
+        num_outputs: m.
         radius: half the width of the picture of it, in m.
+        name: of the group, which `add_flight` moves.
     """
     path = f"{ROOT}/{name}"
     dark, bright = _rgba(BLACK), _rgba(VERMILION)
@@ -403,6 +411,7 @@ def add_flight(
     flies the reference.
 
     Args:
+        meshcat: to record into.
         plan: drawn by `add_scene` before.
         time: ``(K,)``, in s.
         position: ``(K, m)``, in m.
@@ -437,7 +446,7 @@ def add_flight(
         camera = RigidTransform(RotationMatrix(chase[k]), reference[k, 0])
         meshcat.SetTransform(f"{ROOT}/chase", camera, t)
     pieces = np.append(np.arange(time[0], time[-1], _TRAIL_PERIOD), time[-1])
-    for i, (begin, stop) in enumerate(zip(pieces[:-1], pieces[1:], strict=True)):
+    for i, (begin, stop) in enumerate(itertools.pairwise(pieces)):
         points = _interpolate(np.linspace(begin, stop, 6), time, position) @ E.T
         path = f"{ROOT}/trail/{i}"
         _add_pipe(meshcat, path, points, VERMILION, 0.022)
@@ -452,9 +461,7 @@ def add_flight(
     meshcat.PublishRecording()
 
 
-def _interpolate(
-    now: FloatArray, time: FloatArray, values: FloatArray
-) -> FloatArray:
+def _interpolate(now: FloatArray, time: FloatArray, values: FloatArray) -> FloatArray:
     return np.stack([np.interp(now, time, column) for column in values.T], axis=-1)
 
 
@@ -468,7 +475,7 @@ def _attitudes(reference: FloatArray) -> FloatArray:
         Shape ``(K, 3, 3)``.
     """
     forward = travel_frames(reference[:, 1] * [1.0, 1.0, 0.0])[:, :, 0]
-    thrust = np.zeros_like(forward) + [0.0, 0.0, _GRAVITY]
+    thrust = np.tile([0.0, 0.0, _GRAVITY], (len(forward), 1))
     if reference.shape[1] > 2:
         thrust = thrust + reference[:, 2]
     up = thrust / np.linalg.norm(thrust, axis=1, keepdims=True)

@@ -20,6 +20,7 @@ PALE_BLUE = "#E4F0F8"
 GREEN = "#009E73"
 BLACK = "#1A1A1A"
 GREY = "#9A9A9A"
+EDGE = "#555555"
 LIGHT_GREY = "#D9D9D9"
 
 # Both are perceptually uniform: dark blue to yellow, and dark to peach.
