@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from pydrake.math import inv as drake_inv
 
 # Arrays hold floats in the planner and AutoDiffXd or Expression in the systems.
 Array = npt.NDArray[Any]
@@ -150,7 +151,11 @@ class Model(abc.ABC):
 
     def input_matrix(self, x: Array) -> Array:
         """B(x), shape ``(..., m, m)``."""
-        return np.asarray(np.linalg.inv(self.inverse_input_matrix(x)))
+        inverse = self.inverse_input_matrix(x)
+        if inverse.dtype != object:
+            return np.asarray(np.linalg.inv(inverse))
+        flat = inverse.reshape(-1, *inverse.shape[-2:])
+        return np.array([drake_inv(B) for B in flat]).reshape(inverse.shape)
 
     def constant_model_error_bound(self, speed: float) -> Array:
         """The supremum of Δ over all states with ``‖dy/dt‖ <= speed``, ``(m,)``.

@@ -568,7 +568,8 @@ def _require(field: str, value: Any, ok: bool, allowed: str) -> None:
 def _integration_schemes() -> tuple[str, ...]:
     from pydrake.systems.analysis import GetIntegrationSchemes
 
-    return tuple(GetIntegrationSchemes())
+    # CENIC is for multibody plants only.
+    return tuple(name for name in GetIntegrationSchemes() if name != "cenic")
 
 
 def _check_numbers(value: Any, path: str) -> None:

@@ -299,7 +299,7 @@ def test_the_initial_layer_holds_s_and_not_each_error_alone() -> None:
     error = "\ninitial_error: {{position: [0.2, 0, 0], velocity: [{}, 0, 0]}}"
     parse_scenario(LEAST + error.format(-0.4))
     parse_scenario(LEAST + error.format(-0.1001))
-    with pytest.raises(ScenarioError, match="^initial_error"):
+    with pytest.raises(ScenarioError, match=r"^initial_error"):
         parse_scenario(LEAST + error.format(-0.099))
 
 
@@ -869,7 +869,7 @@ def test_what_is_no_scenario_at_all_gets_one_line(text: str) -> None:
 
 
 def test_broken_yaml_is_located() -> None:
-    with pytest.raises(ScenarioError, match="^line 3: .* valid YAML$"):
+    with pytest.raises(ScenarioError, match=r"^line 3: .* valid YAML$"):
         parse_scenario("name: x\nstart: {position: [0, 0, 0]\ngoal: ]\n")
 
 

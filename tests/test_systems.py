@@ -247,7 +247,7 @@ def drawn(config: Disturbance, seed: int, times: Array) -> Array:
     return np.array(samples)
 
 
-RANDOM = {
+RANDOM: dict[str, Disturbance] = {
     "uniform": UniformHold(bound=D.tolist(), hold=0.1),
     "bang_bang": BangBang(bound=D.tolist(), hold=0.1),
     "wind": ColoredWind(bound=D.tolist(), correlation_time=0.2, intensity=3.0),

@@ -47,7 +47,13 @@ class _Program:
         self.program = MathematicalProgram()
         new = self.program.NewContinuousVariables
         self.coefficients = new(K - 1 + tr.degree, m, "q")
-        self.alpha = new(K, m, "alpha")
+        # The cost is nearly a sum of squares of these, which is what a
+        # quasi-Newton method wants to see; in coefficients it is stiff.
+        self.highest = new(K, m, "highest")
+        # Scaled so that cost weighs all decisions alike.
+        self.scale = np.sqrt(p.input_weight / max(p.bandwidth_weight, 1e-6))
+        self.scaled_alpha = new(K, m, "alpha")
+        self.alpha = self.scale * self.scaled_alpha
         rows = n + 1 if tr.has_velocity_state else n
         self.states = new(K * rows, m, "state").reshape(K, rows, m)
         self.middles = new((K - 1) * rows, m, "middle").reshape(K - 1, rows, m)
@@ -57,6 +63,8 @@ class _Program:
             @ self.coefficients
             for k in range(n + 1)
         ]
+        self._rows(knots[n] - self.highest, 0.0, 0.0)
+        knots[n] = self.highest
         state = np.stack(knots[:n], axis=1)
         for k in range(n):
             self._rows(knots[k][0] - p.start[k], 0.0, 0.0)
@@ -69,7 +77,9 @@ class _Program:
         self._rows((self.states[0] - first).ravel(), 0.0, 0.0)
         low, high = tr.bandwidth_low, tr.bandwidth_high
         self.program.AddBoundingBoxConstraint(
-            np.tile(low, (K, 1)), np.tile(high, (K, 1)), self.alpha
+            np.tile(low / self.scale, (K, 1)),
+            np.tile(high / self.scale, (K, 1)),
+            self.scaled_alpha,
         )
         self._rows(
             (self.alpha[1:] - self.alpha[:-1]).ravel(),
@@ -91,7 +101,8 @@ class _Program:
         middle = _tube_states(self.transcription, guess, half)[1::2]
         for variables, value in (
             (self.coefficients, guess.coefficients),
-            (self.alpha, guess.bandwidth),
+            (self.highest, guess.local.highest),
+            (self.scaled_alpha, guess.bandwidth / self.scale),
             (self.states, values),
             (self.middles, middle),
         ):
@@ -223,7 +234,7 @@ class _Program:
         """Coefficients, bandwidth, tube states, success and status."""
         options = SolverOptions()
         for name, value in {
-            "tol": 1e-5,
+            "tol": 1e-4,
             "constr_viol_tol": 1e-5,
             "acceptable_tol": 1e-3,
             "acceptable_constr_viol_tol": 1e-5,
@@ -236,8 +247,9 @@ class _Program:
         details = result.get_solver_details()
         values = [
             np.asarray(result.GetSolution(v.reshape(len(v), -1))).reshape(v.shape)
-            for v in (self.coefficients, self.alpha, self.states)
+            for v in (self.coefficients, self.scaled_alpha, self.states)
         ]
+        values[1] *= self.scale
         return (*values, result.is_success(), details.ConvertStatusToString())
 
 

@@ -295,10 +295,10 @@ class Program:
         normal = np.einsum("pij,pi->pj", H, planes.normal)
         values = (
             tr.position_basis[None, :, :, None] * normal[:, None, None, :]
-        ).reshape(len(normal) * controls, -1)
+        ).reshape(len(normal) * controls, count * m)
         columns = (
             (planes.piece[:, None] + np.arange(count))[:, :, None] * m + np.arange(m)
-        ).reshape(len(normal), -1)
+        ).reshape(len(normal), count * m)
         position = _csr(values, columns.repeat(controls, axis=0), v.size)
         # The tube at the same control points.
         points = (planes.piece[:, None] * controls + np.arange(controls)).ravel()

@@ -141,7 +141,7 @@ class _View:
             filled = outline if section is None else section.outline()[:, order]
             if section is None or not np.allclose(filled, outline, atol=1e-3):
                 axes.add_patch(
-                    Polygon(outline, fill=False, ec=GREY, lw=0.8, ls="--", zorder=1)
+                    Polygon(outline, fill=False, ec=GREY, lw=0.8, ls="--", zorder=3)
                 )
             if section is not None:
                 axes.add_patch(Polygon(filled, fc=GREY, ec="none", zorder=1))
@@ -159,7 +159,7 @@ class _View:
             axes.plot(
                 *flight.T,
                 color=BLUE if many else VERMILION,
-                lw=0.5 if many else 1.0,
+                lw=(0.15 if many else 0.25) * line_width,
                 alpha=0.5 if many else 1.0,
                 zorder=5,
             )
@@ -193,10 +193,11 @@ def _plot_from_above(
     )
     low, high = view.window()
     width, height = high - low
+    # Insets pay where the tube is thin beside the whole picture.
     span = 0.15 * width * np.array([1.0, _INSET_RATIO])
-    spots = (
-        _tight_spots(scenario, position, tube, span[0] / 2) if len(obstacles) else []
-    )
+    spots = []
+    if len(obstacles) and 4.0 * np.median(view.half[:, 1]) < span[1]:
+        spots = _tight_spots(scenario, position, tube, span[0] / 2)
 
     # Rows as tall as what they show at equal scales, labels apart.
     rise = float(np.clip(0.835 * _WIDTH * height / width, 1.0, 6.0))
@@ -206,14 +207,15 @@ def _plot_from_above(
     figure.set_layout_engine("constrained")
     grid = figure.add_gridspec(
         2 if spots else 1,
-        max(len(spots), 1),
+        4,
         height_ratios=[rise, below] if spots else [rise],
     )
     main = figure.add_subplot(grid[0, :])
-    view.draw(main, low, high, 2.0)
+    view.draw(main, low, high, 2.6)
     panels = [main]
     for i, (title, k, clearance) in enumerate(spots):
-        panel = figure.add_subplot(grid[1, i])
+        column = 2 * i if len(spots) > 1 else 1
+        panel = figure.add_subplot(grid[1, column : column + 2])
         corner = view.center[k] - span / 2
         view.draw(panel, corner, corner + span, 3.8)
         panel.set_title(
@@ -508,7 +510,7 @@ def plot_histories(
     figure.legend(
         handles=handles,
         loc="outside upper center",
-        ncols=len(handles) if m > 1 else 3,
+        ncols=len(handles) if m > 2 else 3,
         frameon=False,
     )
     return figure

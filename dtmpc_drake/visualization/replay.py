@@ -154,7 +154,7 @@ def field_corners(scenario: Scenario, plan: Plan) -> tuple[FloatArray, FloatArra
     It holds the tube and the obstacles near it, with some air around.  Its floor
     is the ground, z = 0, unless something flies below; its ceiling is just above
     the highest reference, so that cylinders without an end do not hide what
-    flies between them.
+    flies between them.  A vehicle in the plane gets a little of both.
     """
     E = embedding(plan.num_outputs)
     samples = plan.sample(_TUBE_PERIOD)
@@ -173,6 +173,8 @@ def field_corners(scenario: Scenario, plan: Plan) -> tuple[FloatArray, FloatArra
     air = np.array([0.5, 0.5, 0.0])
     low, high = low - air, high + air
     low[2], high[2] = min(low[2], 0.0), center[:, 2].max() + 0.05
+    if plan.num_outputs < 3:
+        low[2], high[2] = -3 * _FLAT, 3 * _FLAT
     return low, high
 
 
@@ -289,12 +291,12 @@ def add_tube(
     ):
         path = f"{ROOT}/{name}/tube/{half}"
         vertices, faces = swept_mesh(shell, closed=False)
-        colors = coloring.rgb(coloring.values).repeat(shell.shape[1], axis=0)
+        colors = _linear(coloring.rgb(coloring.values)).repeat(shell.shape[1], axis=0)
         meshcat.SetTriangleColorMesh(path, vertices.T, faces.T, colors.T)
         meshcat.SetProperty(path, "opacity", alpha)
         # What is behind a translucent wall must not vanish.
         meshcat.SetProperty(f"{path}/<object>", "material.depthWrite", False)
-    _add_pipe(meshcat, f"{ROOT}/{name}/reference", position, BLACK, 0.018)
+    _add_pipe(meshcat, f"{ROOT}/{name}/reference", position, BLACK, 0.011)
 
 
 def add_vehicle(
@@ -395,6 +397,11 @@ def _add_pipe(
     meshcat.SetTriangleMesh(path, vertices.T, faces.T, _rgba(color))
 
 
+def _linear(rgb: FloatArray) -> FloatArray:
+    """Linear light of sRGB colours, which the viewer expects of vertex colours."""
+    return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+
+
 def _rgba(color: str, opacity: float = 1.0) -> Rgba:
     return Rgba(*to_rgb(color), opacity)
 
@@ -449,7 +456,7 @@ def add_flight(
     for i, (begin, stop) in enumerate(itertools.pairwise(pieces)):
         points = _interpolate(np.linspace(begin, stop, 6), time, position) @ E.T
         path = f"{ROOT}/trail/{i}"
-        _add_pipe(meshcat, path, points, VERMILION, 0.022)
+        _add_pipe(meshcat, path, points, VERMILION, 0.024)
         meshcat.SetProperty(path, "visible", False, 0.0)
         # Every track must be as long as the flight, or it repeats too soon.
         meshcat.SetProperty(path, "visible", True, stop - time[0])
@@ -536,6 +543,7 @@ def legend_html(
         "goal_color": GREEN,
         "grid": f"{grid_spacing(high - low):g}",
         "obstacles_shown": "" if scenario.obstacles else "hidden",
+        "cut": "(pillars cut at flight altitude)" if plan.num_outputs >= 3 else "",
         # So that no text can end the script element.
         "data": json.dumps(data).replace("<", "\\u003c"),
     }

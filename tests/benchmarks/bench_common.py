@@ -56,14 +56,16 @@ def interleaved(
     """Calls all in turn, so that whatever else the machine does hits all alike.
 
     Args:
-        runs: each is given the number of the repeat.  Once before, it is called
-            with zero to warm up; that call does not count.
-        repeats: how often to call each.
+        runs: each is given the number of the repeat.
+        repeats: how often to call each.  What is called most often is called once
+            more before, to warm up.
     """
-    for run in runs.values():
-        run(0)
+    most = max(repeats.values())
+    for name, run in runs.items():
+        if repeats[name] == most:
+            run(0)
     results: dict[str, list[Any]] = {name: [] for name in runs}
-    for i in range(max(repeats.values())):
+    for i in range(most):
         for name, run in runs.items():
             if i < repeats[name]:
                 results[name].append(run(i))
