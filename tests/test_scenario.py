@@ -728,6 +728,13 @@ BAD = {
         "0.2",
         "in [0.1, 0.1], which the model's error bound covers",
     ),
+    "plant below what the model allows": (
+        "plant",
+        "{drag: 0.05}",
+        "plant.drag",
+        "0.05",
+        "in [0.1, 0.1]",
+    ),
     "negative drag": (
         "model",
         "!DragDoubleIntegrator {drag_estimate: -0.1}",

@@ -125,21 +125,19 @@ def test_the_input_bound_holds_everywhere_in_the_tube(model: Model, seed: int) -
     assert np.linalg.norm(case.inputs, axis=-1).max() <= bound + 1e-9
 
 
-def test_how_the_input_matrix_changes_over_the_tube_matters() -> None:
-    """A plain B⁻¹(x*) in place of its bound over the tube would fail here."""
+@pytest.mark.parametrize(
+    ("highest", "velocity_error"), [(5.0, 0.0), (0.0, 1.0)], ids=["nominal", "feedback"]
+)
+def test_how_the_input_matrix_changes_over_the_tube_matters(
+    highest: float, velocity_error: float
+) -> None:
+    """The plain B⁻¹(x*) in place of its bound over the tube would fail here."""
     model = PlanarOnSlope(pull=0.0, roughness=0.0)
-    reference = np.array([[0.0, 0.0], [0.0, 0.0], [5.0, 0.0]])
-    states = np.array([[1.0, 0.0], [0.0, 0.0]])
-    tube = {
-        "model": model,
-        "reference": reference[:2],
-        "highest": reference[2],
-        "gain": np.full(2, 0.1),
-        "slope": np.full(2, 2.0),
-    }
+    reference = np.array([[0.0, 0.0], [0.0, 0.0], [highest, 0.0]])
+    error = np.array([[1.0, 0.0], [velocity_error, 0.0]])
     u = control(
         model=model,
-        state=states,
+        state=reference[:2] + error,
         reference=reference,
         boundary_layer=np.full(2, 0.1),
         boundary_layer_rate=np.full(2, 0.0),
@@ -147,9 +145,21 @@ def test_how_the_input_matrix_changes_over_the_tube_matters() -> None:
         disturbance_bound=np.full(2, 0.0),
         reaching_rate=0.1,
     )
-    nowhere = input_bound(error_bound=np.zeros((2, 2)), **tube)
-    around = input_bound(error_bound=np.array([[1.0, 0.0], [0.0, 0.0]]), **tube)
-    assert nowhere < np.linalg.norm(u) <= around
+
+    def bound(position_tube: float) -> float:
+        tube = np.array([[position_tube, 0.0], [velocity_error, 0.0]])
+        return float(
+            input_bound(
+                model=model,
+                reference=reference[:2],
+                highest=reference[2],
+                error_bound=tube,
+                gain=np.full(2, 0.1),
+                slope=np.full(2, 2.0),
+            )
+        )
+
+    assert bound(0.0) < np.linalg.norm(u) <= bound(1.0)
 
 
 @models

@@ -228,6 +228,7 @@ def _sequential_convex(
             tolerance=TOLERANCE,
             max_iterations=settings.max_iterations if last else COARSE_ITERATIONS,
             report=report,
+            correct=last,
         )
         if not last:
             decisions = (

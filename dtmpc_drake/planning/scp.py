@@ -81,18 +81,55 @@ class Iteration:
     status: str
 
 
+class _Rows:
+    """Rows of a sparse constraint, collected block by block."""
+
+    def __init__(self, width: int) -> None:
+        self._width = width
+        self._values: list[Array] = []
+        self._indices: list[tuple[Array, Array]] = []
+        self._bounds: list[tuple[Array, Array]] = []
+        self.count = 0
+
+    def add(
+        self,
+        values: Array,
+        columns: Array,
+        low: Array | float,
+        high: Array | float,
+    ) -> None:
+        """Adds rows with equally many entries each, ``(R, E)``."""
+        size = len(values)
+        row, entry = np.nonzero(np.abs(values) > 1e-9)
+        self._values.append(values[row, entry])
+        self._indices.append((row + self.count, columns[row, entry]))
+        self._bounds.append((np.broadcast_to(low, size), np.broadcast_to(high, size)))
+        self.count += size
+
+    def assemble(self) -> tuple[Sparse, Array, Array]:
+        """The matrix and its bounds."""
+        row, column = (
+            np.concatenate(part) for part in zip(*self._indices, strict=True)
+        )
+        matrix = sp.csc_array(
+            (np.concatenate(self._values), (row, column)),
+            shape=(self.count, self._width),
+        )
+        low, high = (np.concatenate(part) for part in zip(*self._bounds, strict=True))
+        return matrix, low, high
+
+
 class Program:
     """The convex program, built once; every iteration updates coefficients."""
 
     def __init__(self, transcription: Transcription) -> None:
         self.transcription = transcription
-        self.variables = Variables.of(transcription)
+        self.variables = Variables(transcription)
         v = self.variables
-        self._constant_rows = self._make_constant_rows()
         self.program = MathematicalProgram()
         z = self.program.NewContinuousVariables(v.size, "z")
         one_row = sp.csc_array(([1.0], ([0], [v.size - 1])), shape=(1, v.size))
-        self._rows = self.program.AddLinearConstraint(
+        self._constraint = self.program.AddLinearConstraint(
             sp.csc_matrix(one_row), np.zeros(1), np.full(1, np.inf), z
         )
         # The cost is quadratic in coefficients and bandwidth, linear elsewhere.
@@ -121,66 +158,12 @@ class Program:
             self._options.SetOption(ClarabelSolver.id(), name, value)
         self._solver = ClarabelSolver()
 
-    def _make_constant_rows(self) -> Sparse:
-        """Rows of the equalities that never change: both ends."""
-        v, tr = self.variables, self.transcription
-        m = tr.outputs
-        first, last = slice(0, m), slice(tr.intervals * m, None)
-        rows = [op[first] for op in v.derivatives[: tr.order]]
-        rows += [op[last] for op in v.derivatives[: tr.order]]
-        if tr.problem.start_highest is not None:
-            rows.append(v.derivatives[tr.order][first])
-        if tr.problem.start_bandwidth is not None:
-            rows.append(v.bandwidth[first])
-        rows += [op[first] for op in v.states]
-        return sp.vstack(rows, format="csr")
-
-    def _transition_rows(self, iterate: Iterate, secant: float) -> Sparse:
-        """Rows that vanish where the tube follows the decisions."""
-        tr, v = self.transcription, self.variables
-        m, N = tr.outputs, tr.intervals
-        S = v.num_states * m
-        sensitivity = transitions(tr, iterate, secant=secant)
-        start = np.arange(N)[:, None]
-        columns = np.concatenate(
-            [
-                v.blocks["states"].start + start * S + np.arange(2 * S),
-                v.blocks["bandwidth"].start + start * m + np.arange(2 * m),
-                v.blocks["coefficients"].start
-                + start * m
-                + np.arange((tr.degree + 1) * m),
-            ],
-            axis=1,
-        )
-        values = np.concatenate(
-            [
-                -sensitivity[:, :, :S],
-                np.broadcast_to(np.eye(S), (N, S, S)),
-                -sensitivity[:, :, S:],
-            ],
-            axis=-1,
-        )
-        values = np.where(np.abs(values) < 1e-9, 0.0, values)
-        rows = _csr(values.reshape(N * S, -1), columns.repeat(S, axis=0), v.size)
-        rows.eliminate_zeros()
-        return rows
-
-    def _constant_right_side(self, iterate: Iterate) -> Array:
-        p = self.transcription.problem
-        ends = [p.start - iterate.local.state[0], p.goal - iterate.local.state[-1]]
-        if p.start_highest is not None:
-            ends.append(p.start_highest - iterate.local.highest[0])
-        values = np.concatenate([e.ravel() for e in ends])
-        right = np.zeros(self._constant_rows.shape[0])
-        right[: len(values)] = values
-        return right
-
     def update(
         self, iterate: Iterate, penalty: float, proximity: float, secant: float
     ) -> None:
         """Linearises around an iterate; z is the deviation from it."""
-        tr, v, p = self.transcription, self.variables, self.transcription.problem
-        n, m, K = tr.order, tr.outputs, tr.intervals + 1
+        tr = self.transcription
+        n, m = tr.order, tr.outputs
         flat = iterate.local.pack()
 
         def outputs(x: Array) -> Array:
@@ -192,167 +175,211 @@ class Program:
 
         step = np.full(flat.shape[1], 1e-6)
         step[: n * m] = secant
-        derivative = jacobian(outputs, flat, step)
+        # By the entries of z that each knot reads, ``(K, r, C)``.
+        derivative = jacobian(outputs, flat, step) @ self.variables.local_matrix
 
-        def operator(first: int, count: int) -> Sparse:
-            """The linearised outputs as an operator on z, knot-major."""
-            block = derivative[:, first : first + count]
-            indices = np.broadcast_to(
-                np.arange(K * flat.shape[1]).reshape(K, 1, -1), block.shape
-            )
-            indptr = np.arange(K * count + 1) * flat.shape[1]
-            local = sp.csr_array(
-                (block.ravel(), indices.ravel(), indptr),
-                shape=(K * count, K * flat.shape[1]),
-            )
-            return local @ v.local
-
-        alpha = iterate.bandwidth
-        rows, low, high = [self._constant_rows], [], []
-        low.append(self._constant_right_side(iterate))
-        high.append(low[0])
-
-        def add(matrix: Sparse, lower: Array | float, upper: Array | float) -> None:
-            rows.append(matrix)
-            low.append(np.broadcast_to(lower, matrix.shape[0]))
-            high.append(np.broadcast_to(upper, matrix.shape[0]))
-
-        add(self._transition_rows(iterate, secant), 0.0, 0.0)
-        if p.bandwidth_is_fixed:
-            add(v.bandwidth, 0.0, 0.0)
-        else:
-            low_alpha, high_alpha = tr.bandwidth_low - alpha, tr.bandwidth_high - alpha
-            add(v.bandwidth, low_alpha.ravel(), high_alpha.ravel())
-            # Where the rate is far from its limit the projection will do.
-            change, limit = np.diff(alpha, axis=0).ravel(), tr.bandwidth_change
-            fast = np.flatnonzero(np.abs(change) > RATE_REACH * limit)
-            rates = v.bandwidth[fast + m] - v.bandwidth[fast]
-            add(rates, -limit - change[fast], limit - change[fast])
-        self._add_hard_rows(iterate, operator, add)
-        slack = sp.csr_array(([1.0], ([0], [v.size - 1])), shape=(1, v.size))
-        add(slack, 0.0, np.inf)
-
-        matrix = sp.vstack(rows, format="csc")
-        self._low = np.concatenate(low)
-        self._hard_rows = slice(-1 - self._hard.shape[0], -1)
-        self._rows.evaluator().UpdateCoefficients(
-            sp.csc_matrix(matrix), self._low, np.concatenate(high)
+        rows = _Rows(self.variables.size)
+        self._add_ends(rows, iterate)
+        self._add_transitions(rows, iterate, secant)
+        self._add_bandwidth(rows, iterate)
+        before = rows.count
+        margins = self._add_hard(rows, iterate, derivative[:, m:])
+        self._hard = slice(before, rows.count)
+        self._hard_margins, self._hard_margin = margins, margins(iterate)
+        rows.add(np.ones((1, 1)), np.array([[self.variables.size - 1]]), 0.0, np.inf)
+        self._matrix, self._low, high = rows.assemble()
+        self._constraint.evaluator().UpdateCoefficients(
+            sp.csc_matrix(self._matrix), self._low, high
         )
-        self._update_cost(iterate, operator(0, m), penalty, proximity)
+        self._update_cost(iterate, derivative[:, :m], penalty, proximity)
 
-    def _add_hard_rows(
-        self,
-        iterate: Iterate,
-        operator: Callable[[int, int], Sparse],
-        add: Callable[[Sparse, Array | float, Array | float], None],
-    ) -> None:
-        """Input, speed and obstacles, each relaxed by the shared slack."""
+    def _add_ends(self, rows: _Rows, iterate: Iterate) -> None:
+        """Both end states, and the tube's state at the start, which is given."""
+        tr, v, p = self.transcription, self.variables, self.transcription.problem
+        n, m, local = tr.order, tr.outputs, iterate.local
+        layer = slice((n + 1) * m, (n + 2) * m)
+        wanted = [(0, slice(0, n * m), (p.start - local.state[0]).ravel())]
+        wanted.append((-1, slice(0, n * m), (p.goal - local.state[-1]).ravel()))
+        if p.start_highest is not None:
+            highest = slice(n * m, (n + 1) * m)
+            wanted.append((0, highest, p.start_highest - local.highest[0]))
+        if p.start_bandwidth is not None:
+            wanted.append((0, slice(layer.stop, layer.stop + m), np.zeros(m)))
+        for knot, part, value in wanted:
+            matrix = v.local_matrix[part]
+            columns = np.broadcast_to(v.knot_columns[knot], matrix.shape)
+            rows.add(matrix, columns, value, value)
+        states = v.state_columns[0, : v.num_states * m, None]
+        rows.add(np.ones(states.shape), states, 0.0, 0.0)
+
+    def _add_transitions(self, rows: _Rows, iterate: Iterate, secant: float) -> None:
+        """The tube follows the decisions from knot to knot."""
         tr, v = self.transcription, self.variables
-        n, m, N = tr.order, tr.outputs, tr.intervals
+        m, N = tr.outputs, tr.intervals
+        S = v.num_states * m
+        sensitivity = transitions(tr, iterate, secant=secant)
+        alpha = v.blocks["bandwidth"].start + np.arange(N)[:, None] * m
+        columns = np.concatenate(
+            [
+                v.state_columns,
+                alpha + np.arange(2 * m),
+                v.coefficient_columns(np.arange(N), tr.degree + 1),
+            ],
+            axis=1,
+        )
+        values = np.concatenate(
+            [
+                -sensitivity[:, :, :S],
+                np.broadcast_to(np.eye(S), (N, S, S)),
+                -sensitivity[:, :, S:],
+            ],
+            axis=-1,
+        ).reshape(N * S, -1)
+        rows.add(values, columns.repeat(S, axis=0), 0.0, 0.0)
+
+    def _add_bandwidth(self, rows: _Rows, iterate: Iterate) -> None:
+        """Bounds of α and of its rate."""
+        tr, v, alpha = self.transcription, self.variables, iterate.bandwidth
+        columns = np.arange(alpha.size)[:, None] + v.blocks["bandwidth"].start
+        ones = np.ones(columns.shape)
+        if tr.problem.bandwidth_is_fixed:
+            rows.add(ones, columns, 0.0, 0.0)
+            return
+        low, high = tr.bandwidth_low - alpha, tr.bandwidth_high - alpha
+        # Where α, or its rate, is far from its limit the projection will do.
+        far = alpha < (tr.bandwidth_low + tr.bandwidth_high) / 2
+        high = np.where(far, np.inf, high)
+        rows.add(ones, columns, low.ravel(), high.ravel())
+        change, limit = np.diff(alpha, axis=0).ravel(), tr.bandwidth_change
+        fast = np.flatnonzero(np.abs(change) > RATE_REACH * limit)
+        pairs = columns[fast] + [0, tr.outputs]
+        values = np.broadcast_to([-1.0, 1.0], pairs.shape)
+        rows.add(values, pairs, -limit - change[fast], limit - change[fast])
+
+    def _add_hard(
+        self, rows: _Rows, iterate: Iterate, derivative: Array
+    ) -> Callable[[Iterate], Array]:
+        """Input, speed and obstacles, each relaxed by the shared slack.
+
+        Returns:
+            The margins of the same rows at another iterate.
+        """
+        tr, v = self.transcription, self.variables
+        n, m = tr.order, tr.outputs
         near = np.flatnonzero(iterate.input_margin < 2 * REACH)
         speeds = np.nonzero(iterate.speed_margin < REACH)
         planes = tr.halfplanes(iterate, REACH)
 
         def margins(at: Iterate) -> Array:
-            """Of the same rows at another iterate."""
             same = tr.margins(at, planes.piece, planes.obstacle, planes.normal)
             return np.concatenate(
                 [at.input_margin[near], at.speed_margin[speeds], same.margin.ravel()]
             )
 
+        def add(values: Array, columns: Array, margin: Array) -> None:
+            slack = np.full((len(values), 1), v.size - 1)
+            rows.add(
+                np.concatenate([values, np.ones(slack.shape)], axis=1),
+                np.concatenate([columns, slack], axis=1),
+                BACKOFF - margin,
+                np.inf,
+            )
+
+        add(-derivative[near, 0], v.knot_columns[near], iterate.input_margin[near])
+
         piece, control, axis, sign = speeds
         count = tr.speed_basis.shape[1]
-        columns = (piece[:, None] + np.arange(count)) * m + axis[:, None]
-        values = tr.speed_basis[control] * np.where(sign, 1.0, -1.0)[:, None]
-        rate = operator(m + 1, m) if n == 1 else v.error_bound[1]
-        weight = control / n
-        chord = (
-            sp.diags_array(1 - weight) @ rate[piece * m + axis]
-            + sp.diags_array(weight) @ rate[(piece + 1) * m + axis]
+        speed = tr.speed_basis[control] * np.where(sign, 1.0, -1.0)[:, None]
+        columns = piece[:, None] + np.arange(count)
+        if n == 1:
+            rate = derivative[:, 1:]
+        else:
+            states = v.num_states * m
+            rate = np.zeros((tr.intervals + 1, m, v.knot_columns.shape[1]))
+            rate[:, :, -states:] = v.rate_matrix
+        weight = (control / n)[:, None]
+        add(
+            np.concatenate(
+                [
+                    speed,
+                    (weight - 1) * rate[piece, axis],
+                    -weight * rate[piece + 1, axis],
+                ],
+                axis=1,
+            ),
+            np.concatenate(
+                [
+                    columns * m + axis[:, None],
+                    v.knot_columns[piece],
+                    v.knot_columns[piece + 1],
+                ],
+                axis=1,
+            ),
+            iterate.speed_margin[speeds],
         )
-        hard = sp.vstack(
-            [
-                -operator(m, 1)[near],
-                _csr(values, columns, v.size) - chord,
-                self._halfplane_rows(planes, m, N),
-            ],
-            format="csr",
-        )
-        self._hard, self._hard_margins = hard, margins
-        self._hard_margin = margins(iterate)
-        slack = _csr(
-            np.ones((hard.shape[0], 1)),
-            np.full((hard.shape[0], 1), v.size - 1),
-            v.size,
-        )
-        add(hard + slack, BACKOFF - self._hard_margin, np.inf)
+        add(*self._halfplane_rows(planes), planes.margin.ravel())
+        return margins
 
-    def _halfplane_rows(self, planes: Halfplanes, m: int, N: int) -> Sparse:
+    def _halfplane_rows(self, planes: Halfplanes) -> tuple[Array, Array]:
+        """Values and columns of every half-plane at every control point."""
         tr, v = self.transcription, self.variables
         controls, count = tr.position_basis.shape
+        P, m = len(planes.piece), tr.outputs
         # In the space of y the normal is H' ν.
         H = tr.problem.obstacles.shape[planes.obstacle]
         normal = np.einsum("pij,pi->pj", H, planes.normal)
-        values = (
-            tr.position_basis[None, :, :, None] * normal[:, None, None, :]
-        ).reshape(len(normal) * controls, count * m)
-        columns = (
-            (planes.piece[:, None] + np.arange(count))[:, :, None] * m + np.arange(m)
-        ).reshape(len(normal), count * m)
-        position = _csr(values, columns.repeat(controls, axis=0), v.size)
-        # The tube at the same control points.
-        points = (planes.piece[:, None] * controls + np.arange(controls)).ravel()
-        gradient = planes.tube_gradient.reshape(len(points), m)
-        select = _csr(
-            gradient,
-            points[:, None] * m + np.arange(m),
-            N * controls * m,
-        )
-        rows = position - select @ v.tube_controls
-        if not v.tangents:
-            return rows
+        position = np.einsum("cq,pj->pcqj", tr.position_basis, normal)
+        tube = np.einsum("pcj,cjs->pcs", planes.tube_gradient, v.tube_matrix)
         # Turning the normal along its tangents, for as many planes as have room.
-        free = min(len(normal), v.num_planes)
-        tangents = tangent_space(planes.normal[:free])
-        turn = np.einsum("pci,pti->pct", planes.hull[:free], tangents)
-        columns = v.blocks["rotation"].start + np.arange(free * v.tangents).reshape(
-            free, 1, v.tangents
+        turn = np.zeros((P, controls, v.tangents))
+        rotation = np.zeros((P, v.tangents), dtype=int) + v.blocks["rotation"].start
+        free = min(P, v.num_planes) if v.tangents else 0
+        if free:
+            tangents = tangent_space(planes.normal[:free])
+            turn[:free] = np.einsum("pci,pti->pct", planes.hull[:free], tangents)
+            rotation[:free] += np.arange(free * v.tangents).reshape(free, -1)
+        values = np.concatenate(
+            [position.reshape(P, controls, count * m), -tube, turn], axis=2
         )
-        columns = np.broadcast_to(columns, turn.shape)
-        indices = np.arange(free * controls).repeat(v.tangents)
-        rotation = sp.coo_array(
-            (turn.ravel(), (indices, columns.ravel())), shape=rows.shape
+        columns = np.concatenate(
+            [
+                v.coefficient_columns(planes.piece, count),
+                v.state_columns[planes.piece],
+                rotation,
+            ],
+            axis=1,
         )
-        return rows + rotation.tocsr()
+        return (
+            values.reshape(P * controls, values.shape[2]),
+            columns.repeat(controls, axis=0),
+        )
 
     def _update_cost(
-        self,
-        iterate: Iterate,
-        feedforward: Sparse,
-        penalty: float,
-        proximity: float,
+        self, iterate: Iterate, feedforward: Array, penalty: float, proximity: float
     ) -> None:
         """Gauss-Newton model of the cost, exact where it is quadratic."""
         tr, v, p = self.transcription, self.variables, self.transcription.problem
         weights = np.repeat(tr.weights, tr.outputs)
         u = tr.feedforward(iterate.local).ravel()
-        excess = (iterate.bandwidth - p.bandwidth_floor).ravel()
-        scale_u = np.sqrt(p.input_weight * weights)
-        scale_a = np.sqrt(p.bandwidth_weight * weights)
-        coefficients = v.blocks["coefficients"]
-        self._residual_rows = sp.diags_array(scale_u) @ feedforward[:, coefficients]
-        self._residual = scale_u * u
-        rows = self._residual_rows.toarray()
-        quadratic = rows.T @ rows
+        scale = np.sqrt(p.input_weight * weights)
+        width = tr.degree * tr.outputs
+        values = feedforward[:, :, :width].reshape(len(u), width) * scale[:, None]
+        columns = v.knot_columns[:, :width].repeat(tr.outputs, axis=0)
+        self._residual_rows = _csr(values, columns, v.blocks["coefficients"].stop)
+        self._residual = scale * u
+        quadratic = (self._residual_rows.T @ self._residual_rows).toarray()
         quadratic[np.diag_indices(len(quadratic))] += proximity + 1e-9
         self._costs["coefficients"].evaluator().UpdateCoefficients(
-            2 * quadratic, 2 * (rows.T @ self._residual), 0.0, is_convex=True
+            2 * quadratic,
+            2 * (self._residual_rows.T @ self._residual),
+            0.0,
+            is_convex=True,
         )
-        self._weight = scale_a**2
-        self._excess = excess
+        self._weight = p.bandwidth_weight * weights
+        self._excess = (iterate.bandwidth - p.bandwidth_floor).ravel()
         self._costs["bandwidth"].evaluator().UpdateCoefficients(
             np.diag(2 * (self._weight + proximity)),
-            2 * self._weight * excess,
+            2 * self._weight * self._excess,
             0.0,
             is_convex=True,
         )
@@ -372,10 +399,11 @@ class Program:
 
     def correct(self, z: Array, reached: Iterate) -> None:
         """Shifts the hard rows to what a step really led to (second order)."""
-        error = self._hard_margins(reached) - self._hard_margin - self._hard @ z
+        promised = (self._matrix @ z)[self._hard] - z[-1]
+        error = self._hard_margins(reached) - self._hard_margin - promised
         low = self._low.copy()
-        low[self._hard_rows] -= error
-        self._rows.evaluator().UpdateLowerBound(low)
+        low[self._hard] -= error
+        self._constraint.evaluator().UpdateLowerBound(low)
 
     def model_cost(self, z: Array) -> float:
         """The program's idea of the cost after a step."""
@@ -392,8 +420,7 @@ class Program:
         )
         if tr.problem.bandwidth_is_fixed:
             return coefficients, iterate.bandwidth
-        flat = iterate.local.pack().ravel() + v.local @ z
-        local = Local.unpack(flat.reshape(tr.intervals + 1, -1), tr.order, tr.outputs)
+        local = Local.unpack(iterate.local.pack() + v.local(z), tr.order, tr.outputs)
         # The bandwidth that makes the program's layer, so that its constraints
         # hold, rather than the program's own, whose layer is only first order.
         before = iterate.local
@@ -476,8 +503,19 @@ def _walk(
     merit: float,
     predicted: float,
     penalty: float,
+    tries: int,
 ) -> tuple[Array, Iterate, float, float]:
     """Walks along a step as far as the merit function keeps its promise.
+
+    Args:
+        program: that gave the step.
+        current: to start from.
+        z: the step.
+        merit: at the start.
+        predicted: decrease of the merit.
+        penalty: of the violation.
+        tries: 1 for the whole step only, 2 for ever smaller parts of it, 3 for
+            a second-order correction before that.
 
     Returns:
         The step, the iterate that it leads to, the violation there, and the
@@ -496,14 +534,15 @@ def _walk(
     trial, worst = tried(z)
     if kept(trial, worst, 1.0):
         return z, trial, worst, 1.0
-    program.correct(z, trial)
-    corrected, _ = program.solve()
-    if corrected is not None:
-        trial, worst = tried(corrected)
-        if kept(trial, worst, 1.0):
-            return corrected, trial, worst, 1.0
+    if tries > 2:
+        program.correct(z, trial)
+        corrected, _ = program.solve()
+        if corrected is not None:
+            trial, worst = tried(corrected)
+            if kept(trial, worst, 1.0):
+                return corrected, trial, worst, 1.0
     fraction = 0.5
-    while fraction > SHORTEST:
+    while tries > 1 and fraction > SHORTEST:
         trial, worst = tried(fraction * z)
         if kept(trial, worst, fraction):
             return z, trial, worst, fraction
@@ -519,6 +558,7 @@ def iterate_to_convergence(
     max_iterations: int,
     report: Callable[[Iteration], None],
     penalty: float = PENALTY,
+    correct: bool = True,
 ) -> Result:
     """Runs the sequential convex program from a start.
 
@@ -530,6 +570,7 @@ def iterate_to_convergence(
         max_iterations: at most so many convex programs.
         report: is given every iteration.
         penalty: first weight of the slack.
+        correct: whether steps that fail get a second-order correction.
     """
     tr = transcription
     clock = time.perf_counter
@@ -550,10 +591,14 @@ def iterate_to_convergence(
         slack = max(float(z[-1]), 0.0)
         merit = current.cost + penalty * _excess(worst)
         predicted = merit - (program.model_cost(z) + penalty * _excess(slack))
-        step = _walk(program, current, z, merit, predicted, penalty)
+        little = tolerance * max(current.cost, 1e-3)
+        # Where there is next to nothing to gain, only the whole step is tried.
+        last = predicted <= little and worst <= BACKOFF
+        tries = 1 if last else 3 if correct else 2
+        step = _walk(program, current, z, merit, predicted, penalty, tries)
         z, trial, trial_worst, fraction = step
-        flat = current.local.pack().ravel() + fraction * (program.variables.local @ z)
-        defect = np.abs(flat.reshape(tr.intervals + 1, -1) - trial.local.pack())
+        flat = current.local.pack() + fraction * program.variables.local(z)
+        defect = np.abs(flat - trial.local.pack())
         bound = slice(-tr.order * tr.outputs, None)
         t3 = clock()
         report(
@@ -578,7 +623,6 @@ def iterate_to_convergence(
         costs.append(current.cost)
         current, worst = trial, trial_worst
         stuck = 0 if fraction else stuck + 1
-        little = tolerance * max(current.cost, 1e-3)
         slow = len(costs) > 2 and costs[-3] - current.cost <= little
         done = predicted <= little or stuck > 3
         if worst <= BACKOFF and (done or (slow and not stuck)):
