@@ -13,6 +13,9 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
+_SWEEPS = 20
+"""At most, of the search for the nearest point of a tube."""
+
 
 @dataclasses.dataclass
 class Cylinder:
@@ -125,6 +128,37 @@ class ObstacleSet:
             np.einsum("oij,...j->...oi", np.abs(self.shape), position_tube)
         )
 
+    def nearest_offset(
+        self, offset: FloatArray, position_tube: FloatArray
+    ) -> FloatArray:
+        """The offset that is nearest to each centre, anywhere in the tube.
+
+        Minimises ``‖offset + H r̃‖`` over ``|r̃| <= Ω``, one coordinate of r̃ after
+        the other.  One sweep is exact where H has orthogonal columns.
+
+        Args:
+            offset: as from `offsets`, ``(..., num_obstacles, rows)``.
+            position_tube: Ω, ``(..., m)``.
+
+        Returns:
+            The same shape as `offset`.
+        """
+        square = np.maximum((self.shape**2).sum(axis=1), 1e-300)
+        error = np.zeros((*offset.shape[:-1], self.shape.shape[2]))
+        nearest = np.array(offset)
+        for _ in range(_SWEEPS):
+            change = 0.0
+            for j in range(error.shape[-1]):
+                column, limit = self.shape[:, :, j], position_tube[..., None, j]
+                along = np.einsum("...oi,oi->...o", nearest, column) / square[:, j]
+                step = np.clip(error[..., j] - along, -limit, limit) - error[..., j]
+                nearest += step[..., None] * column
+                error[..., j] += step
+                change = max(change, np.abs(step).max(initial=0.0))
+            if change < 1e-6:
+                break
+        return nearest
+
     def clearance(
         self,
         position: FloatArray,
@@ -137,15 +171,16 @@ class ObstacleSet:
             position: r*, shape ``(..., m)``.
             position_tube: Ω, the same shape.
             margin: ``norm`` takes ``‖|H| Ω‖`` off the distance (the paper's);
-                ``support`` measures to the box itself, which is tight.
+                ``support`` measures to the tube's box itself, which is tight.
 
         Returns:
             Shape ``(..., num_obstacles)``, negative inside.
         """
         offset = self.offsets(position)
-        radii = self.tube_radii(np.broadcast_to(position_tube, np.shape(position)))
+        tube = np.broadcast_to(position_tube, np.shape(position))
         if margin == "norm":
+            radii = self.tube_radii(tube)
             distance = np.linalg.norm(offset, axis=-1) - np.linalg.norm(radii, axis=-1)
         else:
-            distance = np.linalg.norm(np.maximum(np.abs(offset) - radii, 0.0), axis=-1)
+            distance = np.linalg.norm(self.nearest_offset(offset, tube), axis=-1)
         return np.asarray(distance - self.radius)

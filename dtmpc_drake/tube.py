@@ -214,11 +214,14 @@ def propagate_error_bounds(
     if order == 1 or velocity_bound == "paper":
         return Tube(boundary_layer, boundary_layer_rate, bound, bound_rate, Y)
 
-    # Δ̄ looks at W itself, so iterate; the map is monotone and starts above
-    # its fixed point, hence every iterate is a valid bound.
+    # Δ̄ looks at W itself, so iterate from the paper's bound.  From a valid bound
+    # follows a valid one, so both hold at once and Δ̄ takes the smaller; without
+    # that, a model error that grows faster than W would let W run away.
     decay = bandwidth + (order - 1) * slope
+    largest = half_grid(bound[:, -1], bound_rate[:, -1], step)
     for _ in range(60 if model.error_bound_varies else 1):
         R = half_grid(bound, bound_rate, step)
+        R[:, -1] = np.minimum(R[:, -1], largest)
         R = np.maximum(R, 0.0)
         forcing = decay * R[:, -1] + comparison_rate(
             model=model,

@@ -227,20 +227,21 @@ def _obstacle_margin(
     obstacles = problem.obstacles
     offset = obstacles.offsets(position)
     position_tube = tube.error_bound[:, 0]
-    boxes = obstacles.tube_radii(position_tube)
     middle = (offset[:-1] + offset[1:]) / 2
     if problem.tube_margin == "support":
-        box = np.maximum(boxes[:-1], boxes[1:])
-        nearest = np.sign(middle) * np.maximum(np.abs(middle) - box, 0.0)
+        # Any normal is valid; that of the nearest point of the tube is the best.
+        largest = np.maximum(position_tube[:-1], position_tube[1:])
+        nearest = obstacles.nearest_offset(middle, largest)
         inside = np.linalg.norm(nearest, axis=-1, keepdims=True) < 1e-9
         middle = np.where(inside, middle, nearest)
     length = np.maximum(np.linalg.norm(middle, axis=-1, keepdims=True), 1e-9)
     normal = middle / length
     if problem.tube_margin == "support":
-        start = (np.abs(normal) * boxes[:-1]).sum(-1)
-        end = (np.abs(normal) * boxes[1:]).sum(-1)
+        extent = np.abs(np.einsum("oij,koi->koj", obstacles.shape, normal))
+        start = (extent * position_tube[:-1, None]).sum(-1)
+        end = (extent * position_tube[1:, None]).sum(-1)
     else:
-        size = np.linalg.norm(boxes, axis=-1)
+        size = np.linalg.norm(obstacles.tube_radii(position_tube), axis=-1)
         start, end = size[:-1], size[1:]
     bound = np.minimum(
         (normal * offset[:-1]).sum(-1) - start, (normal * offset[1:]).sum(-1) - end

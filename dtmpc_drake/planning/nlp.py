@@ -19,8 +19,6 @@ from dtmpc_drake.models import Array
 from dtmpc_drake.planning import splines
 from dtmpc_drake.planning.scp import BACKOFF, Iteration, Result, violation
 from dtmpc_drake.planning.transcription import (
-    TUBE_STEPS,
-    Halfplanes,
     Iterate,
     Local,
     Transcription,
@@ -28,8 +26,6 @@ from dtmpc_drake.planning.transcription import (
 )
 from dtmpc_drake.tube import cascade_bound, filter_rates
 
-REACH = 1.0
-"""Pieces and obstacles that are further apart have no half-plane, in m."""
 ROUNDS = 4
 """Solves at most: each adds the half-planes that its result shows to be missed
 and shifts the tube by the rest of the collocation's error."""
@@ -97,7 +93,7 @@ class _Program:
 
     def _set_guess(self, guess: Iterate) -> None:
         values = _tube_states(self.transcription, guess)
-        half = TUBE_STEPS // 2
+        half = self.transcription.tube_steps // 2
         middle = _tube_states(self.transcription, guess, half)[1::2]
         for variables, value in (
             (self.coefficients, guess.coefficients),
@@ -188,8 +184,7 @@ class _Program:
 
     def _obstacles(self, windows: Array, stages: Array, guess: Iterate) -> None:
         tr, p = self.transcription, self.transcription.problem
-        self.planes: Halfplanes = tr.halfplanes(guess, REACH)
-        planes, obstacles = self.planes, p.obstacles
+        planes, obstacles = guess.planes, p.obstacles
         if not len(planes.piece):
             return
         controls = np.einsum("ic,ncm->nim", tr.position_basis, windows)
@@ -200,8 +195,8 @@ class _Program:
         tubes = np.einsum("ij,njm->nim", elevate, points)
         # What the exact tube has above these curves, as seen at the guess.
         seen = hermite_controls(
-            guess.tube.error_bound[::TUBE_STEPS, 0],
-            guess.tube.error_bound_rate[::TUBE_STEPS, 0],
+            guess.tube.error_bound[:: tr.tube_steps, 0],
+            guess.tube.error_bound_rate[:: tr.tube_steps, 0],
             tr.step,
         )
         tubes = tubes + (guess.tube_controls - elevate @ seen)
@@ -254,13 +249,13 @@ class _Program:
 
 
 def _tube_states(
-    transcription: Transcription, iterate: Iterate, stride: int = TUBE_STEPS
+    transcription: Transcription, iterate: Iterate, stride: int | None = None
 ) -> Array:
     """Y_0 ... Y_(n-1) = Φ and, if it is a state, W."""
     rows = [iterate.tube.stages]
     if transcription.has_velocity_state:
         rows.append(iterate.tube.error_bound[:, -1:])
-    return np.concatenate(rows, axis=1)[::stride]
+    return np.concatenate(rows, axis=1)[:: stride or transcription.tube_steps]
 
 
 def solve_nlp(
@@ -280,7 +275,7 @@ def solve_nlp(
     clock = time.perf_counter
     current = tr.evaluate(*decisions)
     correction = np.zeros_like(_tube_states(tr, current))
-    worst = violation(tr, current)
+    worst = violation(current)
     for _ in range(ROUNDS):
         t0 = clock()
         program = _Program(tr, current, correction)
@@ -291,7 +286,7 @@ def solve_nlp(
             return Result(current, False, worst, status)
         before = current
         current = tr.evaluate(coefficients, tr.feasible_bandwidth(alpha))
-        worst = violation(tr, current)
+        worst = violation(current)
         exact = _tube_states(tr, current)
         defect = exact - states - correction
         correction = exact - states

@@ -228,7 +228,7 @@ def _sequential_convex(
             tolerance=TOLERANCE,
             max_iterations=settings.max_iterations if last else COARSE_ITERATIONS,
             report=report,
-            correct=last,
+            coarse=not last,
         )
         if not last:
             decisions = (
@@ -280,7 +280,7 @@ def _limits(transcription: Transcription, iterate: Iterate) -> str:
     """Which constraints cannot be met together, where and when."""
     tr, knots = transcription, transcription.knots
     found = []
-    planes = tr.halfplanes(iterate, 0.5)
+    planes = iterate.planes
     if planes.margin.size and planes.margin.min() < 0:
         row, point = np.unravel_index(planes.margin.argmin(), planes.margin.shape)
         when = knots[planes.piece[row]] + tr.step * point / tr.control_degree

@@ -39,12 +39,14 @@ ROTATION = 1.0
 SECANT = 0.1
 """Half-width of the differences along the state, in its units.  Model errors
 often have a kink at rest; a derivative would not see it, a secant does."""
+ACCURACY, COARSE_ACCURACY = 5e-4, 2e-3
+"""Tolerance of the duality gap; a fiftieth of it for feasibility."""
 SHORTEST = 0.02
 """Steps are not walked by less than this fraction."""
 RATE_REACH = 0.5
 """Bandwidth rates below this part of their limit are left to the projection."""
-REACH = 1.0
-"""Constraints with more margin than this are left out of a program."""
+SPEED_REACH, INPUT_REACH = 1.0, 2.0
+"""Knots with more margin than this are left out of a program, m/s and m/s²."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,9 +124,11 @@ class _Rows:
 class Program:
     """The convex program, built once; every iteration updates coefficients."""
 
-    def __init__(self, transcription: Transcription) -> None:
+    def __init__(
+        self, transcription: Transcription, *, planes: int, accuracy: float
+    ) -> None:
         self.transcription = transcription
-        self.variables = Variables(transcription)
+        self.variables = Variables(transcription, planes=planes)
         v = self.variables
         self.program = MathematicalProgram()
         z = self.program.NewContinuousVariables(v.size, "z")
@@ -151,9 +155,9 @@ class Program:
         self._options = SolverOptions()
         for name, value in {
             "iterative_refinement_enable": 0,
-            "tol_gap_abs": 1e-4,
-            "tol_gap_rel": 1e-4,
-            "tol_feas": 1e-5,
+            "tol_gap_abs": accuracy,
+            "tol_gap_rel": accuracy,
+            "tol_feas": accuracy / 50,
         }.items():
             self._options.SetOption(ClarabelSolver.id(), name, value)
         self._solver = ClarabelSolver()
@@ -266,12 +270,14 @@ class Program:
         """
         tr, v = self.transcription, self.variables
         n, m = tr.order, tr.outputs
-        near = np.flatnonzero(iterate.input_margin < 2 * REACH)
-        speeds = np.nonzero(iterate.speed_margin < REACH)
-        planes = tr.halfplanes(iterate, REACH)
+        near = np.flatnonzero(iterate.input_margin < INPUT_REACH)
+        close = iterate.speed_margin < SPEED_REACH
+        close[1:, 0] = False  # the last control point of the piece before
+        speeds = np.nonzero(close)
+        planes = iterate.planes
 
         def margins(at: Iterate) -> Array:
-            same = tr.margins(at, planes.piece, planes.obstacle, planes.normal)
+            same = tr.margins(at, planes)
             return np.concatenate(
                 [at.input_margin[near], at.speed_margin[speeds], same.margin.ravel()]
             )
@@ -461,15 +467,14 @@ def tangent_space(normal: Array) -> Array:
     return np.asarray((np.eye(rows) - 2 * outer / size)[:, 1:])
 
 
-def violation(transcription: Transcription, iterate: Iterate) -> float:
+def violation(iterate: Iterate) -> float:
     """The worst violation of obstacles, speed and input, in their units.
 
     Measured from the backed-off limits: at most `BACKOFF` is feasible.
     """
     margins = [iterate.speed_margin.min(), iterate.input_margin.min()]
-    planes = transcription.halfplanes(iterate, 0.5).margin
-    if planes.size:
-        margins.append(planes.min())
+    if iterate.planes.margin.size:
+        margins.append(iterate.planes.margin.min())
     return float(max(0.0, BACKOFF - min(margins)))
 
 
@@ -525,7 +530,7 @@ def _walk(
 
     def tried(z: Array) -> tuple[Iterate, float]:
         iterate = tr.evaluate(*program.decisions(current, z))
-        return iterate, violation(tr, iterate)
+        return iterate, violation(iterate)
 
     def kept(iterate: Iterate, worst: float, fraction: float) -> bool:
         reached = iterate.cost + penalty * _excess(worst)
@@ -547,7 +552,7 @@ def _walk(
         if kept(trial, worst, fraction):
             return z, trial, worst, fraction
         fraction /= 2
-    return z, current, violation(tr, current), 0.0
+    return z, current, violation(current), 0.0
 
 
 def iterate_to_convergence(
@@ -558,7 +563,7 @@ def iterate_to_convergence(
     max_iterations: int,
     report: Callable[[Iteration], None],
     penalty: float = PENALTY,
-    correct: bool = True,
+    coarse: bool = False,
 ) -> Result:
     """Runs the sequential convex program from a start.
 
@@ -570,13 +575,19 @@ def iterate_to_convergence(
         max_iterations: at most so many convex programs.
         report: is given every iteration.
         penalty: first weight of the slack.
-        correct: whether steps that fail get a second-order correction.
+        coarse: solve the programs less accurately, and do without the
+            second-order correction of steps that fail.
     """
     tr = transcription
     clock = time.perf_counter
-    program = Program(tr)
     current = tr.evaluate(*decisions)
-    worst = violation(tr, current)
+    worst = violation(current)
+    program = Program(
+        tr,
+        # Other pieces may come near on the way.
+        planes=len(current.planes.piece) + tr.intervals // 4,
+        accuracy=COARSE_ACCURACY if coarse else ACCURACY,
+    )
     costs: list[float] = []
     stuck = 0
     proximity, secant = 0.0, SECANT
@@ -594,7 +605,7 @@ def iterate_to_convergence(
         little = tolerance * max(current.cost, 1e-3)
         # Where there is next to nothing to gain, only the whole step is tried.
         last = predicted <= little and worst <= BACKOFF
-        tries = 1 if last else 3 if correct else 2
+        tries = 1 if last else 2 if coarse else 3
         step = _walk(program, current, z, merit, predicted, penalty, tries)
         z, trial, trial_worst, fraction = step
         flat = current.local.pack() + fraction * program.variables.local(z)

@@ -13,7 +13,7 @@ import numpy as np
 
 from dtmpc_drake.models import Array, jacobian
 from dtmpc_drake.planning import splines
-from dtmpc_drake.planning.transcription import TUBE_STEPS, Iterate, Transcription
+from dtmpc_drake.planning.transcription import Iterate, Transcription
 from dtmpc_drake.tube import filter_rates
 
 
@@ -34,11 +34,8 @@ def transitions(
     """
     tr, p = transcription, transcription.problem
     n, m, N = tr.order, tr.outputs, tr.intervals
-    # Runge-Kutta steps of about the fastest filter's time constant.
-    fastest = float((p.bandwidth_max + n * p.slope).max()) * tr.step
-    substeps = 2 if fastest < 2 else 4 if fastest < 4 else 8
-    points = 2 * substeps
-    stride = TUBE_STEPS // points
+    points = 2 * tr.substeps
+    stride = tr.tube_steps // points
     local_time = np.arange(points + 1) / points
 
     tube = iterate.tube
@@ -64,17 +61,25 @@ def transitions(
             reaching_rate=p.reaching_rate,
         )
 
-    if p.model.error_bound_varies:
-        derivative = _all_pairs(rates, reference, alpha, states, secant)
-    else:
-        derivative = _axis_by_axis(rates, reference, alpha, states)
     index = np.arange(N)[:, None] * points + np.arange(points + 1)
-    by_state, by_alpha, by_tube = np.split(
-        derivative[index], [n * m, n * m + m], axis=-1
-    )
-
-    # Columns of the input: α interpolated, the state through its spline.
     weight = local_time[:, None, None]
+    h = tr.step / tr.substeps
+    width = S * m + 2 * m
+    if not p.model.error_bound_varies:
+        # The axes do not see each other, nor the reference.
+        by_alpha, by_tube = _axis_by_axis(rates, reference, alpha, states)
+        by_alpha, by_tube = by_alpha[index], by_tube[index]
+        weights = np.concatenate([1 - weight, weight], axis=-1)[..., None, :]
+        each = _propagate(by_tube, by_alpha[..., None] * weights, h)
+        result = np.zeros((N, S, m, width + (tr.degree + 1) * m))
+        axes = np.arange(m)
+        for column in range(S + 2):
+            result[:, :, axes, column * m + axes] = each[..., column].swapaxes(1, 2)
+        return result.reshape(N, S * m, -1)
+
+    derivative = _all_pairs(rates, reference, alpha, states, secant)[index]
+    by_state, by_alpha, by_tube = np.split(derivative, [n * m, n * m + m], axis=-1)
+    # Columns of the input: α interpolated, the state through its spline.
     basis = np.stack(
         [splines.basis(tr.degree, k, local_time, tr.step) for k in range(n)]
     )
@@ -83,24 +88,39 @@ def transitions(
     )
     inputs = np.concatenate(
         [
-            np.zeros((N, points + 1, S * m, S * m)),
             by_alpha * (1 - weight),
             by_alpha * weight,
             by_coefficient.reshape(N, points + 1, S * m, -1),
         ],
         axis=-1,
     )
-    h = tr.step / substeps
-    result = np.zeros((N, S * m, inputs.shape[-1]))
-    result[:, :, : S * m] = np.eye(S * m)
-    for i in range(0, points, 2):
-        A, B = by_tube[:, i : i + 3], inputs[:, i : i + 3]
-        k1 = A[:, 0] @ result + B[:, 0]
-        k2 = A[:, 1] @ (result + h / 2 * k1) + B[:, 1]
-        k3 = A[:, 1] @ (result + h / 2 * k2) + B[:, 1]
-        k4 = A[:, 2] @ (result + h * k3) + B[:, 2]
-        result = result + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return np.asarray(result)
+    return _propagate(by_tube, inputs, h)
+
+
+def _propagate(by_state: Array, inputs: Array, step: float) -> Array:
+    """Integrates dX/dt = A X + [0 B] from X = [I 0] by Runge-Kutta.
+
+    Args:
+        by_state: A at both ends and in the middle of every step,
+            ``(N, 2 steps + 1, ..., S, S)``.
+        inputs: B, ``(N, 2 steps + 1, ..., S, q)``.
+        step: in s.
+
+    Returns:
+        X at the end, ``(N, ..., S, S + q)``.
+    """
+    size = by_state.shape[-1]
+    B = np.concatenate([np.zeros_like(by_state), inputs], axis=-1)
+    X = np.zeros_like(B[:, 0])
+    X[..., :size] = np.eye(size)
+    for i in range(0, by_state.shape[1] - 1, 2):
+        start, middle, end = (by_state[:, i + j] for j in range(3))
+        k1 = start @ X + B[:, i]
+        k2 = middle @ (X + step / 2 * k1) + B[:, i + 1]
+        k3 = middle @ (X + step / 2 * k2) + B[:, i + 1]
+        k4 = end @ (X + step * k3) + B[:, i + 2]
+        X = X + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return np.asarray(X)
 
 
 def _all_pairs(
@@ -136,21 +156,21 @@ def _axis_by_axis(
     reference: Array,
     alpha: Array,
     states: Array,
-) -> Array:
-    """The same where Δ is constant: the axes do not see each other."""
+) -> tuple[Array, Array]:
+    """Every rate by its own axis' bandwidth and states, where Δ is constant.
+
+    Returns:
+        By the bandwidth, ``(count, m, S)``, and by the states,
+        ``(count, m, S, S)``.
+    """
     count, S, m = states.shape
-    split = reference[0].size
 
     def moved(offsets: Array) -> Array:
         value = rates(
-            reference,
-            alpha + offsets[..., :1],
-            states + offsets[..., 1:, None],
+            reference, alpha + offsets[..., :1], states + offsets[..., 1:, None]
         )
         return value.reshape(*value.shape[:-2], S * m)
 
     slopes = jacobian(moved, np.zeros((count, 1 + S))).reshape(count, S, m, 1 + S)
-    result = np.zeros((count, S, m, split // m + 1 + S, m))
-    axes = np.arange(m)
-    result[:, :, axes, split // m :, axes] = np.moveaxis(slopes, 2, 0)
-    return result.reshape(count, S * m, -1)
+    slopes = slopes.swapaxes(1, 2)
+    return slopes[..., 0], slopes[..., 1:]

@@ -29,10 +29,13 @@ HAIR = 2e-3
 """By how much the bandwidth stays inside its limits, relative."""
 INPUT_HAIR = 2e-3
 """By how much the input does: the tube's pieces round off the model's kinks."""
+REACH = 1.0
+"""Pieces and obstacles that are further apart have no half-plane, in m."""
 BLEND = 0.125
 """Part of the way, at each end, in which a start is bent to meet the ends."""
-TUBE_STEPS = 16
-"""Steps of the tube in each interval; the half grid has twice as many."""
+TUBE_STEPS = (8, 16)
+"""Steps of the tube in each interval, at least, where Δ is constant and where it
+varies (and may have kinks); the half grid has twice as many."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,37 +85,6 @@ class Local:
 
 
 @dataclasses.dataclass(frozen=True)
-class Iterate:
-    """Decisions, the exact tube that follows, and what they cost.
-
-    Attributes:
-        coefficients: of y*, ``(N + n + 1, m)``.
-        bandwidth: α at the knots, ``(N + 1, m)``.
-        reference: y* and derivatives on the half grid, ``(2 M + 1, n + 1, m)``.
-        tube: at the nodes of the fine grid.
-        local: at the knots.
-        controls: Bézier points of y*, ``(N, degree + 1, m)``.
-        tube_controls: Bézier points that bound Ω from above, same shape.
-        speed_margin: ``(N, n + 1, m, 2)``, both signs.
-        input_margin: ``(N + 1,)``.
-        cost: of the plan.
-    """
-
-    coefficients: Array
-    bandwidth: Array
-    reference: Array
-    tube: Tube
-    local: Local
-    controls: Array
-    tube_controls: Array
-    speed_margin: Array
-    input_margin: Array
-    cost: float
-
-    __hash__: ClassVar[None]  # type: ignore[assignment]
-
-
-@dataclasses.dataclass(frozen=True)
 class Halfplanes:
     """Separating half-planes of pieces and obstacles that are near each other.
 
@@ -130,6 +102,39 @@ class Halfplanes:
     margin: Array
     tube_gradient: Array
     hull: Array
+
+
+@dataclasses.dataclass(frozen=True)
+class Iterate:
+    """Decisions, the exact tube that follows, and what they cost.
+
+    Attributes:
+        coefficients: of y*, ``(N + n + 1, m)``.
+        bandwidth: α at the knots, ``(N + 1, m)``.
+        reference: y* and derivatives on the half grid, ``(2 M + 1, n + 1, m)``.
+        tube: at the nodes of the fine grid.
+        local: at the knots.
+        controls: Bézier points of y*, ``(N, degree + 1, m)``.
+        tube_controls: Bézier points that bound Ω from above, same shape.
+        planes: that part the pieces from the obstacles within `REACH`.
+        speed_margin: ``(N, n + 1, m, 2)``, both signs.
+        input_margin: ``(N + 1,)``.
+        cost: of the plan.
+    """
+
+    coefficients: Array
+    bandwidth: Array
+    reference: Array
+    tube: Tube
+    local: Local
+    controls: Array
+    tube_controls: Array
+    planes: Halfplanes
+    speed_margin: Array
+    input_margin: Array
+    cost: float
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
 
 
 class Transcription:
@@ -152,13 +157,21 @@ class Transcription:
         self.bandwidth_low = np.minimum(low * (1 + HAIR), middle)
         self.bandwidth_high = np.maximum(high * (1 - HAIR), middle)
         self.bandwidth_change = problem.bandwidth_rate_max * self.step * (1 - HAIR)
-        fine = np.arange(2 * TUBE_STEPS) / (2 * TUBE_STEPS)
+        # Runge-Kutta steps of at most the fastest filter's time constant.
+        fastest = float((problem.bandwidth_max + self.order * problem.slope).max())
+        self.substeps = 2
+        while self.substeps < fastest * self.step:
+            self.substeps *= 2
+        least = TUBE_STEPS[model.error_bound_varies]
+        self.tube_steps = max(least, 2 * self.substeps)
+        fine = np.arange(2 * self.tube_steps) / (2 * self.tube_steps)
         self._half_basis = np.stack(
             [
                 splines.basis(self.degree, k, fine, self.step)
                 for k in range(self.order + 1)
-            ]
-        )
+            ],
+            axis=1,
+        ).reshape(-1, self.degree + 1)
         self._end_basis = np.stack(
             [
                 splines.basis(self.degree, k, np.ones(1), self.step)[0]
@@ -169,7 +182,7 @@ class Transcription:
         self.position_basis = elevate @ splines.control_basis(self.degree, 0, self.step)
         self.speed_basis = splines.control_basis(self.degree, 1, self.step)
         self._hermite_elevation = splines.elevation(3, self.control_degree)
-        self._fine = np.linspace(0, 1, TUBE_STEPS + 1)
+        self._fine = np.linspace(0, 1, self.tube_steps + 1)
 
     # Decisions to iterate.
 
@@ -251,10 +264,10 @@ class Transcription:
         """Propagates the exact tube and evaluates cost and constraints."""
         p, n = self.problem, self.order
         windows = splines.windows(coefficients, self.degree)
-        half = np.einsum("kfc,ncm->nfkm", self._half_basis, windows)
+        half = (self._half_basis @ windows).reshape(-1, n + 1, self.outputs)
         last = self._end_basis @ windows[-1]
-        reference = np.concatenate([half.reshape(-1, n + 1, self.outputs), last[None]])
-        weight = (np.arange(2 * TUBE_STEPS) / (2 * TUBE_STEPS))[:, None]
+        reference = np.concatenate([half, last[None]])
+        weight = (np.arange(2 * self.tube_steps) / (2 * self.tube_steps))[:, None]
         alpha = np.concatenate(
             [
                 (
@@ -273,7 +286,7 @@ class Transcription:
             initial_boundary_layer=p.initial_boundary_layer,
             initial_error=p.initial_error,
             velocity_bound=p.velocity_bound,
-            step=self.step / TUBE_STEPS,
+            step=self.step / self.tube_steps,
         )
         nodes = reference[::2]
         gain = alpha[::2] * tube.boundary_layer
@@ -292,7 +305,7 @@ class Transcription:
             gain=gain,
             disturbance_bound=p.disturbance_bound,
         )
-        at_knots = slice(None, None, TUBE_STEPS)
+        at_knots = slice(None, None, self.tube_steps)
         local = Local(
             state=nodes[at_knots, :n],
             highest=nodes[at_knots, n],
@@ -309,14 +322,20 @@ class Transcription:
         speed_controls = self.speed_basis @ windows
         room = p.speed_limit - rate_chord - self._bulge(used_rate)[:, None]
         speed_margin = np.stack([room - speed_controls, room + speed_controls], -1)
+        # Neighbouring pieces share a control point, and so their margin there.
+        shared = np.minimum(speed_margin[1:, 0], speed_margin[:-1, -1])
+        speed_margin[1:, 0] = speed_margin[:-1, -1] = shared
+        controls = self.position_basis @ windows
+        tube_controls = self._tube_controls(tube)
         return Iterate(
             coefficients=coefficients,
             bandwidth=bandwidth,
             reference=reference,
             tube=tube,
             local=local,
-            controls=self.position_basis @ windows,
-            tube_controls=self._tube_controls(tube),
+            controls=controls,
+            tube_controls=tube_controls,
+            planes=self._halfplanes(controls, tube_controls),
             speed_margin=speed_margin,
             input_margin=input_margin,
             cost=self._cost(local, bandwidth),
@@ -339,17 +358,17 @@ class Transcription:
 
     def _bulge(self, nodes: Array) -> Array:
         """How far each piece rises above its chord, ``(N, ...)``."""
-        chord = self._chord(nodes[::TUBE_STEPS], TUBE_STEPS)
+        chord = self._chord(nodes[:: self.tube_steps], self.tube_steps)
         return np.asarray((self._pieces(nodes) - chord).max(axis=1))
 
     def _pieces(self, nodes: Array) -> Array:
         """Node values piece by piece, both ends included."""
-        index = np.arange(self.intervals)[:, None] * TUBE_STEPS
-        return np.asarray(nodes[index + np.arange(TUBE_STEPS + 1)])
+        index = np.arange(self.intervals)[:, None] * self.tube_steps
+        return np.asarray(nodes[index + np.arange(self.tube_steps + 1)])
 
     def _tube_controls(self, tube: Tube) -> Array:
         """Bézier points of a curve above Ω on every piece."""
-        at = slice(None, None, TUBE_STEPS)
+        at = slice(None, None, self.tube_steps)
         value, rate = tube.error_bound[at, 0], tube.error_bound_rate[at, 0]
         points = hermite_controls(value, rate, self.step)
         t = self._fine[:, None]
@@ -397,41 +416,49 @@ class Transcription:
 
     # Obstacles.
 
-    def halfplanes(self, iterate: Iterate, reach: float) -> Halfplanes:
-        """The best separating half-plane of every near piece and obstacle.
-
-        Args:
-            iterate: gives the control points.
-            reach: pairs that are further apart than this are left out, in m.
-        """
+    def _halfplanes(self, controls: Array, tube: Array) -> Halfplanes:
+        """The best separating half-plane of every near piece and obstacle."""
         obstacles = self.problem.obstacles
-        offsets = obstacles.offsets(iterate.controls).swapaxes(1, 2)
-        tube = iterate.tube_controls
+        offsets = obstacles.offsets(controls).swapaxes(1, 2)
         # A cheap lower bound of the distance, to select the pairs.
         middle = offsets.mean(axis=2, keepdims=True)
         spread = np.linalg.norm(offsets - middle, axis=-1).max(axis=2)
         bound = np.linalg.norm(middle[:, :, 0], axis=-1) - spread - obstacles.radius
         radii = obstacles.tube_radii(tube.max(axis=1))
         bound = bound - np.linalg.norm(radii, axis=-1)
-        piece, obstacle = np.nonzero(bound < reach)
-        hull, tube = offsets[piece, obstacle], tube[piece]
-        boxes = np.einsum("pij,pcj->pci", np.abs(obstacles.shape[obstacle]), tube)
+        piece, obstacle = np.nonzero(bound < REACH)
+        hull, H = offsets[piece, obstacle], obstacles.shape[obstacle]
+        boxes = np.einsum("pij,pcj->pci", np.abs(H), tube[piece])
         normal = separating_normals(hull, np.linalg.norm(boxes, axis=-1))
         if self.problem.tube_margin == "support":
             # The size depends on the normal: a second pass settles it.
             size = np.einsum("pci,pi->pc", boxes, np.abs(normal))
             normal = separating_normals(hull, size)
-        return self.margins(iterate, piece, obstacle, normal)
+        return self._margins(controls, tube, piece, obstacle, normal)
 
-    def margins(
-        self, iterate: Iterate, piece: Array, obstacle: Array, normal: Array
+    def margins(self, iterate: Iterate, planes: Halfplanes) -> Halfplanes:
+        """The same half-planes at another iterate."""
+        return self._margins(
+            iterate.controls,
+            iterate.tube_controls,
+            planes.piece,
+            planes.obstacle,
+            planes.normal,
+        )
+
+    def _margins(
+        self,
+        controls: Array,
+        tube: Array,
+        piece: Array,
+        obstacle: Array,
+        normal: Array,
     ) -> Halfplanes:
-        """Margins of given half-planes at an iterate."""
         obstacles = self.problem.obstacles
         H = obstacles.shape[obstacle]
-        hull = np.einsum("pij,pcj->pci", H, iterate.controls[piece])
+        hull = np.einsum("pij,pcj->pci", H, controls[piece])
         hull = hull - obstacles.center[obstacle][:, None]
-        tube = iterate.tube_controls[piece]
+        tube = tube[piece]
         if self.problem.tube_margin == "norm":
             boxes = np.einsum("pij,pcj->pci", np.abs(H), tube)
             size = np.linalg.norm(boxes, axis=-1)
@@ -450,7 +477,7 @@ class Transcription:
     def plan(self, iterate: Iterate) -> Plan:
         """The plan that an iterate stands for."""
         tube = iterate.tube
-        count = self.intervals * TUBE_STEPS
+        count = self.intervals * self.tube_steps
         start, duration = self.problem.start_time, self.problem.duration
         return Plan(
             knots=self.knots,

@@ -19,12 +19,13 @@ from dtmpc_drake.planning import splines
 from dtmpc_drake.planning.transcription import Transcription, hermite_controls
 from dtmpc_drake.tube import cascade_bound
 
-PLANES = 2
-"""Half-planes that may turn, for each piece."""
-
 
 class Variables:
     """Layout of z for one transcription.
+
+    Args:
+        transcription: of the problem.
+        planes: how many separating half-planes may turn.
 
     Attributes:
         blocks: slices of z by name.
@@ -39,7 +40,7 @@ class Variables:
             points of Ω, ``(control_degree + 1, m, 2 S m)``.
     """
 
-    def __init__(self, transcription: Transcription) -> None:
+    def __init__(self, transcription: Transcription, *, planes: int) -> None:
         tr = transcription
         n, m, N = tr.order, tr.outputs, tr.intervals
         obstacles = tr.problem.obstacles
@@ -47,7 +48,7 @@ class Variables:
         self.num_states = n + 1 if tr.has_velocity_state else n
         # Each separating half-plane may turn, along each tangent of its normal.
         self.tangents = obstacles.shape.shape[1] - 1
-        self.num_planes = N * min(PLANES, len(obstacles))
+        self.num_planes = planes
         self.blocks: dict[str, slice] = {}
         self.size = 0
         for name, count in (
@@ -123,7 +124,7 @@ class Variables:
         points = hermite_controls(value.swapaxes(0, 1), rate.swapaxes(0, 1), tr.step)[0]
         # (4, 2 S m, m) to (control_degree + 1, m, 2 S m)
         elevate = splines.elevation(3, tr.control_degree)
-        return np.einsum("ij,jsm->ims", elevate, points)
+        return np.asarray(np.einsum("ij,jsm->ims", elevate, points))
 
     def local(self, z: Array) -> Array:
         """`Local.pack` of a deviation at every knot, ``(K, L)``."""
