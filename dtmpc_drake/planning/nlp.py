@@ -278,7 +278,9 @@ def solve_nlp(
     worst = violation(current)
     for _ in range(ROUNDS):
         t0 = clock()
-        program = _Program(tr, current, correction)
+        # numpy warns of invalid values whenever it meets a symbolic expression.
+        with np.errstate(invalid="ignore"):
+            program = _Program(tr, current, correction)
         t1 = clock()
         coefficients, alpha, states, success, status = program.solve()
         t2 = clock()
