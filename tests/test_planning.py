@@ -17,8 +17,8 @@ from tests.models_for_tests import PlanarOnSlope, ThirdOrderPlanar
 
 
 @pytest.fixture(scope="module")
-def known():
-    return plan(load_scenario("known_environment"))
+def known(known_result):
+    return known_result
 
 
 @pytest.fixture(scope="module")

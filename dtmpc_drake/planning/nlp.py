@@ -24,7 +24,7 @@ from dtmpc_drake.planning.transcription import (
     Transcription,
     hermite_controls,
 )
-from dtmpc_drake.tube import cascade_bound, filter_rates
+from dtmpc_drake.tube import cascade_bound
 
 ROUNDS = 4
 """Solves at most: each adds the half-planes that its result shows to be missed
@@ -69,7 +69,7 @@ class _Program:
             self._rows(knots[n][0] - p.start_highest, 0.0, 0.0)
         if p.start_bandwidth is not None:
             self._rows(self.alpha[0] - p.start_bandwidth, 0.0, 0.0)
-        first = _tube_states(tr, guess)[0]
+        first = tr.tube_states(guess)[0]
         self._rows((self.states[0] - first).ravel(), 0.0, 0.0)
         low, high = tr.bandwidth_low, tr.bandwidth_high
         self.program.AddBoundingBoxConstraint(
@@ -92,9 +92,9 @@ class _Program:
             self.program.AddConstraint(expression, lower, upper)
 
     def _set_guess(self, guess: Iterate) -> None:
-        values = _tube_states(self.transcription, guess)
+        values = self.transcription.tube_states(guess)
         half = self.transcription.tube_steps // 2
-        middle = _tube_states(self.transcription, guess, half)[1::2]
+        middle = self.transcription.tube_states(guess, half)[1::2]
         for variables, value in (
             (self.coefficients, guess.coefficients),
             (self.highest, guess.local.highest),
@@ -109,7 +109,7 @@ class _Program:
 
     def _collocate(self, state: Array) -> None:
         """Hermite-Simpson on the tube's own differential equation."""
-        tr, p = self.transcription, self.transcription.problem
+        tr = self.transcription
         h = tr.step
         basis = [
             splines.basis(tr.degree, k, np.array([0.5]), h)[0] for k in range(tr.order)
@@ -121,19 +121,8 @@ class _Program:
         )
         middle_alpha = (self.alpha[:-1] + self.alpha[1:]) / 2
 
-        def rates(reference: Array, bandwidth: Array, states: Array) -> Array:
-            return filter_rates(
-                model=p.model,
-                reference=reference,
-                bandwidth=bandwidth,
-                states=states,
-                slope=p.slope,
-                disturbance_bound=p.disturbance_bound,
-                reaching_rate=p.reaching_rate,
-            )
-
-        x, f = self.states, rates(state, self.alpha, self.states)
-        f_middle = rates(middle_state, middle_alpha, self.middles)
+        x, f = self.states, tr.tube_rates(state, self.alpha, self.states)
+        f_middle = tr.tube_rates(middle_state, middle_alpha, self.middles)
         average, change = (x[:-1] + x[1:]) / 2, x[1:] - x[:-1]
         self._rows(self.middles - average - h / 8 * (f[:-1] - f[1:]), 0.0, 0.0)
         self._rows(change - h / 6 * (f[:-1] + 4 * f_middle + f[1:]), 0.0, 0.0)
@@ -248,16 +237,6 @@ class _Program:
         return (*values, result.is_success(), details.ConvertStatusToString())
 
 
-def _tube_states(
-    transcription: Transcription, iterate: Iterate, stride: int | None = None
-) -> Array:
-    """Y_0 ... Y_(n-1) = Φ and, if it is a state, W."""
-    rows = [iterate.tube.stages]
-    if transcription.has_velocity_state:
-        rows.append(iterate.tube.error_bound[:, -1:])
-    return np.concatenate(rows, axis=1)[:: stride or transcription.tube_steps]
-
-
 def solve_nlp(
     transcription: Transcription,
     decisions: tuple[Array, Array],
@@ -274,7 +253,7 @@ def solve_nlp(
     tr = transcription
     clock = time.perf_counter
     current = tr.evaluate(*decisions)
-    correction = np.zeros_like(_tube_states(tr, current))
+    correction = np.zeros_like(tr.tube_states(current))
     worst = violation(current)
     for _ in range(ROUNDS):
         t0 = clock()
@@ -289,7 +268,7 @@ def solve_nlp(
         before = current
         current = tr.evaluate(coefficients, tr.feasible_bandwidth(alpha))
         worst = violation(current)
-        exact = _tube_states(tr, current)
+        exact = tr.tube_states(current)
         defect = exact - states - correction
         correction = exact - states
         t3 = clock()

@@ -14,7 +14,6 @@ import numpy as np
 from dtmpc_drake.models import Array, jacobian
 from dtmpc_drake.planning import splines
 from dtmpc_drake.planning.transcription import Iterate, Transcription
-from dtmpc_drake.tube import filter_rates
 
 
 def transitions(
@@ -38,11 +37,7 @@ def transitions(
     stride = tr.tube_steps // points
     local_time = np.arange(points + 1) / points
 
-    tube = iterate.tube
-    rows = [tube.stages]
-    if tr.has_velocity_state:
-        rows.append(tube.error_bound[:, -1:])
-    states = np.concatenate(rows, axis=1)[::stride]
+    states = tr.tube_states(iterate, stride)
     S = states.shape[1]
     reference = iterate.reference[:: 2 * stride, :n]
     grid = np.arange(N * points + 1) / points
@@ -50,24 +45,13 @@ def transitions(
         [np.interp(grid, np.arange(N + 1), a) for a in iterate.bandwidth.T], axis=-1
     )
 
-    def rates(reference: Array, bandwidth: Array, states: Array) -> Array:
-        return filter_rates(
-            model=p.model,
-            reference=reference,
-            bandwidth=bandwidth,
-            states=states,
-            slope=p.slope,
-            disturbance_bound=p.disturbance_bound,
-            reaching_rate=p.reaching_rate,
-        )
-
     index = np.arange(N)[:, None] * points + np.arange(points + 1)
     weight = local_time[:, None, None]
     h = tr.step / tr.substeps
     width = S * m + 2 * m
     if not p.model.error_bound_varies:
         # The axes do not see each other, nor the reference.
-        by_alpha, by_tube = _axis_by_axis(rates, reference, alpha, states)
+        by_alpha, by_tube = _axis_by_axis(tr.tube_rates, reference, alpha, states)
         by_alpha, by_tube = by_alpha[index], by_tube[index]
         weights = np.concatenate([1 - weight, weight], axis=-1)[..., None, :]
         each = _propagate(by_tube, by_alpha[..., None] * weights, h)
@@ -77,7 +61,7 @@ def transitions(
             result[:, :, axes, column * m + axes] = each[..., column].swapaxes(1, 2)
         return result.reshape(N, S * m, -1)
 
-    derivative = _all_pairs(rates, reference, alpha, states, secant)[index]
+    derivative = _all_pairs(tr.tube_rates, reference, alpha, states, secant)[index]
     by_state, by_alpha, by_tube = np.split(derivative, [n * m, n * m + m], axis=-1)
     # Columns of the input: α interpolated, the state through its spline.
     basis = np.stack(

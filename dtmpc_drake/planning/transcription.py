@@ -23,7 +23,7 @@ from dtmpc_drake.plan import Plan
 from dtmpc_drake.planning import splines
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.tightening import input_bound, rate_bound
-from dtmpc_drake.tube import Tube, propagate
+from dtmpc_drake.tube import Tube, filter_rates, propagate
 
 HAIR = 2e-3
 """By how much the bandwidth stays inside its limits, relative."""
@@ -408,6 +408,26 @@ class Transcription:
             gain=local.bandwidth * local.layer,
             disturbance_bound=self.problem.disturbance_bound,
         )
+
+    def tube_rates(self, reference: Array, bandwidth: Array, states: Array) -> Array:
+        """The tube's differential equation; shapes as `tube.filter_rates`."""
+        p = self.problem
+        return filter_rates(
+            model=p.model,
+            reference=reference,
+            bandwidth=bandwidth,
+            states=states,
+            slope=p.slope,
+            disturbance_bound=p.disturbance_bound,
+            reaching_rate=p.reaching_rate,
+        )
+
+    def tube_states(self, iterate: Iterate, stride: int | None = None) -> Array:
+        """Y_0 ... Y_(n-1) = Φ and, if it is a state, W; at every knot by default."""
+        rows = [iterate.tube.stages]
+        if self.has_velocity_state:
+            rows.append(iterate.tube.error_bound[:, -1:])
+        return np.concatenate(rows, axis=1)[:: stride or self.tube_steps]
 
     @property
     def has_velocity_state(self) -> bool:
