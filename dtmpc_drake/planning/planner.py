@@ -264,10 +264,10 @@ def _verdict(
     transcription: Transcription, result: Result, certificate: Certificate
 ) -> tuple[Status, str]:
     name, margin = certificate.worst
-    if result.failure is not None:
-        return "failed", f"the solver stopped with {result.failure}"
     if certificate.certified:
         return "certified", f"smallest margin: {name} {margin}"
+    if result.failure is not None:
+        return "failed", f"the solver stopped with {result.failure}"
     if result.violation > BACKOFF and margin.value < 0:
         limits = _limits(transcription, result.iterate)
         return "infeasible", f"{limits}; no better plan from this start"

@@ -41,6 +41,8 @@ SECANT = 0.1
 often have a kink at rest; a derivative would not see it, a secant does."""
 ACCURACY, COARSE_ACCURACY = 5e-4, 2e-3
 """Tolerance of the duality gap; a fiftieth of it for feasibility."""
+MAX_FAILURES = 3
+"""Programs that the solver may fail to solve before the iterations end."""
 SHORTEST = 0.02
 """Steps are not walked by less than this fraction."""
 RATE_REACH = 0.5
@@ -589,7 +591,7 @@ def iterate_to_convergence(
         accuracy=COARSE_ACCURACY if coarse else ACCURACY,
     )
     costs: list[float] = []
-    stuck = 0
+    stuck = failures = 0
     proximity, secant = 0.0, SECANT
     for _ in range(max_iterations):
         t0 = clock()
@@ -598,7 +600,12 @@ def iterate_to_convergence(
         z, status = program.solve()
         t2 = clock()
         if z is None:
-            return Result(current, False, worst, status)
+            # Numerical trouble: a shorter step is an easier program.
+            failures += 1
+            if failures > MAX_FAILURES:
+                return Result(current, False, worst, status)
+            proximity = max(10 * proximity, 0.1)
+            continue
         slack = max(float(z[-1]), 0.0)
         merit = current.cost + penalty * _excess(worst)
         predicted = merit - (program.model_cost(z) + penalty * _excess(slack))
