@@ -125,8 +125,6 @@ def certify(plan: Plan, problem: Problem) -> Certificate:
     )
     time, reference = half[nodes], reference[nodes]
     gain = gain[nodes]
-    nearest = np.abs(time[:, None] - plan.knots).min(axis=1)
-    at_knot = nearest < 1e-6 * step
     margins: dict[str, Margin] = {}
     if len(problem.obstacles):
         margins["obstacles"] = _obstacle_margin(
@@ -141,7 +139,7 @@ def certify(plan: Plan, problem: Problem) -> Certificate:
         gain=gain,
         disturbance_bound=problem.disturbance_bound,
     )
-    margins["speed"] = _smallest(time, _between(speed, at_knot), "m/s", "axis")
+    margins["speed"] = _smallest(time, _between(speed), "m/s", "axis")
     used = input_bound(
         model=problem.model,
         reference=reference[:, :n],
@@ -151,9 +149,9 @@ def certify(plan: Plan, problem: Problem) -> Certificate:
         slope=problem.slope,
     )
     room = (problem.input_limit - used)[:, None]
-    margins["input"] = _smallest(time, _between(room, at_knot), f"m/s^{n}", "")
+    margins["input"] = _smallest(time, _between(room), f"m/s^{n}", "")
     margins |= _bandwidth_margins(problem, half, bandwidth)
-    margins["boundary_layer"] = _smallest(time, _between(layer[nodes], at_knot), "m/s", "axis")
+    margins["boundary_layer"] = _smallest(time, _between(layer[nodes]), "m/s", "axis")
     own = plan.error_bound(time) - tube.error_bound + TUBE_TOLERANCE
     margins["tube"] = _smallest(time, own.reshape(len(time), -1), "", "bound")
     ends = np.stack(
@@ -168,7 +166,7 @@ def certify(plan: Plan, problem: Problem) -> Certificate:
             reference[:, :n], tube.error_bound
         )
         room = problem.model.bound - true
-        margins["model_error"] = _smallest(time, _between(room, at_knot), "m/s²", "axis")
+        margins["model_error"] = _smallest(time, _between(room), "m/s²", "axis")
     return Certificate(margins, problem.model.bounds_certified)
 
 
@@ -197,23 +195,17 @@ def _refined(grid: Array, factor: int) -> Array:
     return np.interp(np.arange(count + 1) / factor, np.arange(len(grid)), grid)
 
 
-def _between(values: Array, at_knot: Array) -> Array:
+def _between(values: Array) -> Array:
     """Lower bounds between samples, ``(K, ...)`` to ``(K - 1, ...)``.
 
     A smooth function sags below a chord by an eighth of its second difference;
-    the larger one of both ends is taken off as a whole, which covers kinks too.
-    Only valleys have a positive one.  A kink at a knot is no sag: the sample
-    there has seen it.
-
-    Args:
-        values: at uniform times.
-        at_knot: whether a time is a knot of the plan, ``(K,)``.
+    half of the largest one near by is taken off, which covers kinks too.  Only
+    valleys have a positive one.
     """
     ends = np.minimum(values[:-1], values[1:])
-    second = np.zeros_like(values)
-    second[1:-1] = np.maximum(np.diff(values, 2, axis=0), 0.0)
-    second[at_knot] = 0.0
-    return np.asarray(ends - np.maximum(second[:-1], second[1:]))
+    second = np.maximum(np.diff(values, 2, axis=0), 0.0)
+    second = np.concatenate([second[:1], second, second[-1:]])
+    return np.asarray(ends - np.maximum(second[:-1], second[1:]) / 2)
 
 
 def _smallest(time: Array, values: Array, unit: str, where: str) -> Margin:
