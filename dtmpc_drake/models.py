@@ -116,6 +116,13 @@ class Model(abc.ABC):
         """Δ̄, an upper bound of Δ over the box; as `drift_bound`."""
 
     @abc.abstractmethod
+    def model_error_bound_under(self, x: Array, radius: Array) -> Array:
+        """A lower bound of Δ over the box; as `drift_bound`.
+
+        Only the certificate asks, for the smallest bandwidth between samples.
+        """
+
+    @abc.abstractmethod
     def true_drift(self, x: Array, parameters: Mapping[str, Any]) -> Array:
         """F(x) of the plant that has these parameters; as `drift`."""
 
@@ -194,6 +201,10 @@ class SampledBoxBounds(Model):
         """See base class."""
         return np.asarray(self.model_error_bound(self._corners(x, radius)).max(axis=0))
 
+    def model_error_bound_under(self, x: Array, radius: Array) -> Array:
+        """See base class."""
+        return np.asarray(self.model_error_bound(self._corners(x, radius)).min(axis=0))
+
     @property
     def bounds_certified(self) -> bool:
         """See base class."""
@@ -254,6 +265,10 @@ class DragDoubleIntegrator(Model):
             return self.model_error_bound(x)
         return self.model_error_bound(self._largest_velocity(x, radius))
 
+    def model_error_bound_under(self, x: Array, radius: Array) -> Array:
+        """See base class; exact, since drag is monotone in every speed."""
+        return self.model_error_bound(np.maximum(np.abs(x) - radius, 0.0))
+
     @property
     def error_bound_varies(self) -> bool:
         """See base class."""
@@ -313,6 +328,10 @@ class IntegratorChain(Model):
         """See base class."""
         return self.model_error_bound(x)
 
+    def model_error_bound_under(self, x: Array, radius: Array) -> Array:
+        """See base class."""
+        return self.model_error_bound(x)
+
     @property
     def error_bound_varies(self) -> bool:
         """See base class."""
@@ -364,6 +383,10 @@ class ConstantUncertainty(Model):
         return np.broadcast_to(self.bound, (*x.shape[:-2], self.num_outputs))
 
     def model_error_bound_over(self, x: Array, radius: Array) -> Array:
+        """The constant, broadcast over the batch."""
+        return self.model_error_bound(x)
+
+    def model_error_bound_under(self, x: Array, radius: Array) -> Array:
         """The constant, broadcast over the batch."""
         return self.model_error_bound(x)
 

@@ -3,6 +3,9 @@
 Everything here is a function of one instant, batched over leading axes and
 generic in the scalar: the certificate evaluates it along a plan, the SCP
 backend differentiates it numerically, the NLP backend writes it symbolically.
+
+`reference_radius` (0 at one instant) makes each of them hold for a whole box of
+references, which is how the certificate covers the time between samples.
 """
 
 from __future__ import annotations
@@ -14,7 +17,14 @@ from dtmpc_drake.sliding import surface_coefficients
 
 
 def feedback_bound(
-    *, model: Model, reference: Array, error_bound: Array, gain: Array, slope: Array
+    *,
+    model: Model,
+    reference: Array,
+    error_bound: Array,
+    gain: Array,
+    slope: Array,
+    reference_radius: Array | float = 0.0,
+    gain_radius: Array | float = 0.0,
 ) -> Array:
     """ū_fb, the bound of ``|B u - y*^(n)|``  (Theorem 2).
 
@@ -30,18 +40,21 @@ def feedback_bound(
         error_bound: R_k, ``(..., n, m)``.
         gain: κ = αΦ, ``(..., m)``.
         slope: λ, ``(m,)``.
+        reference_radius: of the box around `reference` that holds x*, ``(..., n, m)``.
+        gain_radius: how far κ - Δ(x*) may be from its value here, ``(..., m)``.
 
     Returns:
         Shape ``(..., m)``, in output unit / s^n.
     """
     c = surface_coefficients(slope, model.order)
     damping = (c[:-1] * error_bound[..., 1:, :]).sum(axis=-2)
-    largest = model.model_error_bound_over(reference, error_bound)
+    box = error_bound + reference_radius
+    largest = model.model_error_bound_over(reference, box)
     # 0 <= Δ(x) <= Δ̄, so |K| is at most the larger of κ + Δ̄ - Δ(x*) and
     # Δ(x*) - κ, written without a maximum.
     excess = gain - model.model_error_bound(reference)
-    switching = largest / 2 + magnitude(excess + largest / 2)
-    return np.asarray(model.drift_bound(reference, error_bound) + damping + switching)
+    switching = largest / 2 + magnitude(excess + largest / 2) + gain_radius
+    return np.asarray(model.drift_bound(reference, box) + damping + switching)
 
 
 def input_bound(
@@ -52,6 +65,8 @@ def input_bound(
     error_bound: Array,
     gain: Array,
     slope: Array,
+    reference_radius: Array | float = 0.0,
+    gain_radius: Array | float = 0.0,
 ) -> Array:
     """A bound of ``‖u‖`` anywhere in the tube  (corollary 2).
 
@@ -65,18 +80,22 @@ def input_bound(
         error_bound: R_k, ``(..., n, m)``.
         gain: κ = αΦ, ``(..., m)``.
         slope: λ, ``(m,)``.
+        reference_radius: see `feedback_bound`.
+        gain_radius: see `feedback_bound`.
 
     Returns:
         Shape ``(...)``, in the unit of the input.
     """
     inverse = model.inverse_input_matrix(reference)
-    deviation = model.inverse_input_deviation(reference, error_bound)
+    deviation = model.inverse_input_deviation(reference, error_bound + reference_radius)
     feedback = feedback_bound(
         model=model,
         reference=reference,
         error_bound=error_bound,
         gain=gain,
         slope=slope,
+        reference_radius=reference_radius,
+        gain_radius=gain_radius,
     )
     nominal = (inverse * highest[..., None, :]).sum(axis=-1)
     worst = (
@@ -93,6 +112,8 @@ def rate_bound(
     error_bound: Array,
     gain: Array,
     disturbance_bound: Array,
+    reference_radius: Array | float = 0.0,
+    gain_radius: Array | float = 0.0,
 ) -> Array:
     """The bound of ``|dỹ/dt|`` that tightens the speed limit (corollary 1).
 
@@ -104,6 +125,6 @@ def rate_bound(
     """
     if model.order > 1:
         return np.asarray(error_bound[..., 1, :])
-    largest = model.model_error_bound_over(reference, error_bound)
-    excess = largest - model.model_error_bound(reference)
+    largest = model.model_error_bound_over(reference, error_bound + reference_radius)
+    excess = largest - model.model_error_bound(reference) + gain_radius
     return np.asarray(disturbance_bound + largest + gain + excess)

@@ -132,6 +132,39 @@ def initial_stages(initial_error: Array, slope: Array) -> Array:
     )
 
 
+def comparison_forcing(
+    *,
+    bandwidth: Array,
+    lower_bounds: Array,
+    model_error: Array,
+    slope: Array,
+    disturbance_bound: Array,
+) -> Array:
+    """What drives the velocity comparison system of W, the bound of ``|ỹ^(n-1)|``.
+
+    dW/dt = -(α + (n-1)λ) W + α c_0 Ω + Σ_{k=1}^{n-2} (α c_k + c_{k-1}) R_k + E
+    with E = D + Δ̄ + (Δ̄ - Δ(x*)).
+
+    Args:
+        bandwidth: α, ``(..., m)``.
+        lower_bounds: Ω = R_0 ... R_(n-2), the bounds of ``|ỹ^(k)|``,
+            ``(..., n - 1, m)``, n >= 2.
+        model_error: Δ̄ + (Δ̄ - Δ(x*)), ``(..., m)``.
+        slope: λ, ``(m,)``.
+        disturbance_bound: D, ``(m,)``.
+
+    Returns:
+        All but the first term, shape ``(..., m)``.
+    """
+    order = lower_bounds.shape[-2] + 1
+    c = surface_coefficients(slope, order)
+    forcing = disturbance_bound + model_error
+    forcing = forcing + bandwidth * c[0] * lower_bounds[..., 0, :]
+    for k in range(1, order - 1):
+        forcing = forcing + (bandwidth * c[k] + c[k - 1]) * lower_bounds[..., k, :]
+    return np.asarray(forcing)
+
+
 def comparison_rate(
     *,
     model: Model,
@@ -141,10 +174,7 @@ def comparison_rate(
     slope: Array,
     disturbance_bound: Array,
 ) -> Array:
-    """dW/dt of the velocity comparison system, W the bound of ``|ỹ^(n-1)|``.
-
-    dW/dt = -(α + (n-1)λ) W + α c_0 Ω + Σ_{k=1}^{n-2} (α c_k + c_{k-1}) R_k + E
-    with E = D + Δ̄ + (Δ̄ - Δ(x*)).
+    """dW/dt of the velocity comparison system; see `comparison_forcing`.
 
     Args:
         model: gives Δ and Δ̄.
@@ -157,15 +187,47 @@ def comparison_rate(
     Returns:
         Shape ``(..., m)``.
     """
-    order = model.order
-    c = surface_coefficients(slope, order)
     largest = model.model_error_bound_over(reference, error_bound)
-    forcing = disturbance_bound + 2 * largest - model.model_error_bound(reference)
-    forcing = forcing + bandwidth * c[0] * error_bound[..., 0, :]
-    for k in range(1, order - 1):
-        forcing = forcing + (bandwidth * c[k] + c[k - 1]) * error_bound[..., k, :]
-    decay = bandwidth + (order - 1) * slope
-    return np.asarray(forcing - decay * error_bound[..., order - 1, :])
+    forcing = comparison_forcing(
+        bandwidth=bandwidth,
+        lower_bounds=error_bound[..., :-1, :],
+        model_error=2 * largest - model.model_error_bound(reference),
+        slope=slope,
+        disturbance_bound=disturbance_bound,
+    )
+    decay = bandwidth + (model.order - 1) * slope
+    return np.asarray(forcing - decay * error_bound[..., -1, :])
+
+
+def propagate_cascade(
+    *,
+    boundary_layer: Array,
+    boundary_layer_rate: Array,
+    slope: Array,
+    initial_error: Array,
+    step: float,
+) -> tuple[Array, Array]:
+    """The cascade ``dY_j/dt = -λ Y_j + Y_(j+1)``, ``Y_(n-1) = Φ`` (Theorem 1).
+
+    Args:
+        boundary_layer: Φ at the nodes, ``(M + 1, m)``.
+        boundary_layer_rate: dΦ/dt at the nodes, ``(M + 1, m)``.
+        slope: λ, ``(m,)``.
+        initial_error: ỹ^(k)(t0), or bounds of them, ``(n, m)``.
+        step: between two nodes, in s.
+
+    Returns:
+        Y_0 ... Y_(n-1) and their time derivatives, both ``(M + 1, n, m)``.
+    """
+    start = initial_stages(initial_error, slope)
+    stages, rates = [boundary_layer], [boundary_layer_rate]
+    for j in range(len(initial_error) - 2, -1, -1):
+        forcing = half_grid(stages[0], rates[0], step)
+        decay = np.broadcast_to(slope, forcing.shape)
+        stage, rate = integrate_filter(decay, forcing, start[j], step)
+        stages.insert(0, stage)
+        rates.insert(0, rate)
+    return np.stack(stages, axis=1), np.stack(rates, axis=1)
 
 
 def propagate_error_bounds(
@@ -199,16 +261,13 @@ def propagate_error_bounds(
         The tube at the nodes.
     """
     order = model.order
-    start = initial_stages(initial_error, slope)
-    stages = [boundary_layer]
-    rates = [boundary_layer_rate]
-    for j in range(order - 2, -1, -1):
-        forcing = half_grid(stages[0], rates[0], step)
-        decay = np.broadcast_to(slope, forcing.shape)
-        stage, rate = integrate_filter(decay, forcing, start[j], step)
-        stages.insert(0, stage)
-        rates.insert(0, rate)
-    Y, dY = np.stack(stages, axis=1), np.stack(rates, axis=1)
+    Y, dY = propagate_cascade(
+        boundary_layer=boundary_layer,
+        boundary_layer_rate=boundary_layer_rate,
+        slope=slope,
+        initial_error=initial_error,
+        step=step,
+    )
     bound = np.stack([cascade_bound(Y, slope, k) for k in range(order)], axis=1)
     bound_rate = np.stack([cascade_bound(dY, slope, k) for k in range(order)], axis=1)
     if order == 1 or velocity_bound == "paper":

@@ -42,6 +42,10 @@ class FractionOfBound(Model):
             raise KeyError(name)
         return -1.0, 1.0
 
+    def model_error_bound_under(self, x: Array, radius: Array) -> Array:
+        """See base class; exact, since every Δ here grows with every ``|x|``."""
+        return self.model_error_bound(np.maximum(np.abs(x) - radius, 0.0))
+
 
 @dataclasses.dataclass
 class ThirdOrderPlanar(FractionOfBound):

@@ -45,6 +45,7 @@ def test_bounds_over_a_box_hold_at_every_state_of_it(model: Model, seed: int) ->
     assert (drift <= model.drift_bound(x, radius) + 1e-12).all()
     error = model.model_error_bound(states)
     assert (error <= model.model_error_bound_over(x, radius) + 1e-12).all()
+    assert (error >= model.model_error_bound_under(x, radius) - 1e-12).all()
     change = model.inverse_input_matrix(states) - model.inverse_input_matrix(x)
     allowed = model.inverse_input_deviation(x, radius)
     assert (np.abs(change) <= allowed + 1e-12).all()

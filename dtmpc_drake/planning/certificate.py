@@ -1,8 +1,8 @@
 """The certificate: what a plan keeps, for all times, checked after the solve.
 
 Nothing here knows how a plan was found.  The tube is propagated again from the
-plan's own polynomials, twice as finely; then every margin is bounded from below
-on every short interval, not only at its ends.
+plan's own polynomials, and every margin is bounded from below on short intervals
+(see `enclosure`), which are cut further where a bound is not good enough.
 """
 
 from __future__ import annotations
@@ -14,21 +14,23 @@ import numpy as np
 
 from dtmpc_drake.models import Array, ConstantUncertainty
 from dtmpc_drake.plan import Plan
+from dtmpc_drake.planning.enclosure import Enclosure, Polynomial, enclose
 from dtmpc_drake.planning.problem import Problem
-from dtmpc_drake.sliding import bandwidth as implied_bandwidth
-from dtmpc_drake.sliding import switching_gain
 from dtmpc_drake.tightening import input_bound, rate_bound
-from dtmpc_drake.tube import Tube, propagate_error_bounds
 
-REFINEMENT = 2
-"""Intervals of the certificate in each step of the plan's own tube."""
+INTERVALS = (16e-3, 2e-3, 5e-4)
+"""Longest interval, in s: the next one is taken if a bound is negative.  The first
+is for models whose error bound is constant: nothing is of first order then but F̂."""
 FIXED_TOLERANCE = 5e-3
 """Allowed deviation from a fixed bandwidth, relative."""
 END_TOLERANCE = 1e-6
 """Allowed distance from the start and goal states, in their units."""
 TUBE_TOLERANCE = 1e-4
-"""How far the tube that a plan carries may lie below the one propagated here, on
-which all margins rest; they differ where the model has kinks.  In m and m/s."""
+"""How far the tube that a plan carries may lie below the proven one, on which all
+margins rest; in m for the position tube."""
+TOP_TOLERANCE = 2e-3
+"""The same for the highest derivative that is a state (for n = 2 the velocity tube,
+in m/s), whose bound depends on itself and, through Δ̄, on the whole tube."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,121 +93,132 @@ class Certificate:
 def certify(plan: Plan, problem: Problem) -> Certificate:
     """Checks a plan against its problem, for all times.
 
+    Every margin is a lower bound of what is left of a limit; it is exact up to
+    second order in the length of the intervals, and up to first order where a
+    model is asked for its bounds over a box.
+
     Args:
         plan: whose polynomials are checked.
         problem: gives model, limits and obstacles.
 
     Returns:
         The certificate.
+
+    Raises:
+        ValueError: if the plan's grids are not uniform, one within the other.
     """
-    n = problem.model.order
-    half = _refined(plan.tube_times, 2 * REFINEMENT)
-    reference = plan.reference(half)
-    layer, layer_rate = plan.layer(half)
-    gain = switching_gain(
-        model_error_bound=problem.model.model_error_bound(reference[:, :n]),
-        disturbance_bound=problem.disturbance_bound,
-        reaching_rate=problem.reaching_rate,
-        boundary_layer_rate=layer_rate,
-    )
-    bandwidth = implied_bandwidth(gain=gain, boundary_layer=layer)
-    nodes = slice(None, None, 2)
-    step = float(half[2] - half[0])
-    tube = propagate_error_bounds(
-        model=problem.model,
-        reference=reference[:, :n],
-        bandwidth=bandwidth,
-        boundary_layer=layer[nodes],
-        boundary_layer_rate=layer_rate[nodes],
-        slope=problem.slope,
-        disturbance_bound=problem.disturbance_bound,
-        initial_error=problem.initial_error,
-        velocity_bound=problem.velocity_bound,
-        step=step,
-    )
-    time, reference = half[nodes], reference[nodes]
-    gain = gain[nodes]
+    for longest in INTERVALS[problem.model.error_bound_varies :]:
+        enclosure = enclose(
+            plan, problem, longest=longest, velocity_slack=TOP_TOLERANCE
+        )
+        margins = _margins(plan, problem, enclosure)
+        certificate = Certificate(margins, problem.model.bounds_certified)
+        name, worst = certificate.worst
+        # An obstacle's bound is cut on its own.
+        if worst.value >= 0 or name in ("obstacles", "ends"):
+            break
+    return certificate
+
+
+def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Margin]:
+    """Every margin by name."""
+    n, time = problem.model.order, enclosure.time[:-1]
+    middle = enclosure.reference.derivatives
+    radius = enclosure.reference_radius
     margins: dict[str, Margin] = {}
     if len(problem.obstacles):
-        margins["obstacles"] = _obstacle_margin(
-            plan, problem, time, reference[:, 0], tube
-        )
+        margins["obstacles"] = _obstacle_margin(problem, enclosure)
 
-    speed = problem.speed_limit - np.abs(reference[:, 1])
+    # κ - Δ(x*), which is also K(x) - Δ(x), is a polynomial.
+    layer_rate = enclosure.layer.derivatives[:, 1]
+    model_error = problem.model.model_error_bound(middle[:, :n])
+    switching = problem.disturbance_bound + problem.reaching_rate - layer_rate
+    gain, gain_radius = switching + model_error, enclosure.layer.radius(1)
+
+    speed = problem.speed_limit - enclosure.reference.largest(1)
     speed = speed - rate_bound(
         model=problem.model,
-        reference=reference[:, :n],
-        error_bound=tube.error_bound,
+        reference=middle[:, :n],
+        error_bound=enclosure.error_bound,
         gain=gain,
         disturbance_bound=problem.disturbance_bound,
+        reference_radius=radius,
+        gain_radius=gain_radius,
     )
-    margins["speed"] = _smallest(time, _between(speed), "m/s", "axis")
+    margins["speed"] = _smallest(time, speed, "m/s", "axis")
+    # The norm of y*^(n), which is linear, is largest at an end.
+    rise = enclosure.reference.half * middle[:, n + 1]
     used = input_bound(
         model=problem.model,
-        reference=reference[:, :n],
-        highest=reference[:, n],
-        error_bound=tube.error_bound,
+        reference=middle[:, :n],
+        highest=np.stack([middle[:, n] - rise, middle[:, n] + rise]),
+        error_bound=enclosure.error_bound,
         gain=gain,
         slope=problem.slope,
+        reference_radius=radius,
+        gain_radius=gain_radius,
     )
-    room = (problem.input_limit - used)[:, None]
-    margins["input"] = _smallest(time, _between(room), f"m/s^{n}", "")
-    margins |= _bandwidth_margins(problem, half, bandwidth)
-    margins["boundary_layer"] = _smallest(time, _between(layer[nodes]), "m/s", "axis")
-    own = plan.error_bound(time) - tube.error_bound + TUBE_TOLERANCE
+    room = (problem.input_limit - used.max(axis=0))[:, None]
+    margins["input"] = _smallest(time, room, f"m/s^{n}", "")
+    margins |= _bandwidth_margins(plan, problem, enclosure)
+    thinnest = enclosure.layer.derivatives[:, 0] - enclosure.layer.radius(0)
+    margins["boundary_layer"] = _smallest(time, thinnest, "m/s", "axis")
+    tolerance = np.full((n, 1), TUBE_TOLERANCE)
+    tolerance[-1] = TOP_TOLERANCE if n > 1 else TUBE_TOLERANCE
+    own = enclosure.claim_excess + tolerance
     margins["tube"] = _smallest(time, own.reshape(len(time), -1), "", "bound")
-    ends = np.stack(
-        [
-            np.abs(reference[0, :n] - problem.start).max(keepdims=True)[0],
-            np.abs(reference[-1, :n] - problem.goal).max(keepdims=True)[0],
-        ]
-    )
-    margins["ends"] = _smallest(time[[0, -1]], END_TOLERANCE - ends, "", "axis")
+    ends = plan.reference(np.array([plan.start_time, plan.end_time]))[:, :n]
+    wanted = np.stack([problem.start, problem.goal])
+    missing = np.abs(ends - wanted).max(axis=1)
+    times = np.array([plan.start_time, plan.end_time])
+    margins["ends"] = _smallest(times, END_TOLERANCE - missing, "", "axis")
     if isinstance(problem.model, ConstantUncertainty):
         true = problem.model.model.model_error_bound_over(
-            reference[:, :n], tube.error_bound
+            middle[:, :n], enclosure.error_bound + radius
         )
         room = problem.model.bound - true
-        margins["model_error"] = _smallest(time, _between(room), "m/s²", "axis")
-    return Certificate(margins, problem.model.bounds_certified)
+        margins["model_error"] = _smallest(time, room, "m/s²", "axis")
+    return margins
 
 
 def _bandwidth_margins(
-    problem: Problem, time: Array, bandwidth: Array
+    plan: Plan, problem: Problem, enclosure: Enclosure
 ) -> dict[str, Margin]:
-    """Margins of α, which is linear between any two of these times."""
-    unit = "rad/s"
-    if problem.bandwidth_is_fixed:
-        room = FIXED_TOLERANCE * problem.bandwidth_max
-        room = room - np.abs(bandwidth - problem.bandwidth_max)
-        return {"bandwidth_fixed": _smallest(time, room, unit, "axis")}
-    low, high = bandwidth - problem.bandwidth_min, problem.bandwidth_max - bandwidth
-    rate = np.diff(bandwidth[::2], axis=0) / np.diff(time[::2])[:, None]
-    slack = problem.bandwidth_rate_max - np.abs(rate)
-    return {
-        "bandwidth_min": _smallest(time, low, unit, "axis"),
-        "bandwidth_max": _smallest(time, high, unit, "axis"),
-        "bandwidth_rate": _smallest(time[::2], slack, "rad/s²", "axis"),
-    }
+    """Margins of α = (Δ(x*) + D + η - dΦ*/dt)/Φ*, and of the planned α's rate.
 
-
-def _refined(grid: Array, factor: int) -> Array:
-    """The same grid with `factor` times as many intervals."""
-    count = (len(grid) - 1) * factor
-    return np.interp(np.arange(count + 1) / factor, np.arange(len(grid)), grid)
-
-
-def _between(values: Array) -> Array:
-    """Lower bounds between samples, ``(K, ...)`` to ``(K - 1, ...)``.
-
-    A smooth function sags below a chord by an eighth of its second difference;
-    half of the largest one near by is taken off, which covers kinks too.  Only
-    valleys have a positive one.
+    The rate is that of the plan's own piecewise-linear α, which the layer
+    realises.
     """
-    ends = np.minimum(values[:-1], values[1:])
-    second = np.maximum(np.diff(values, 2, axis=0), 0.0)
-    second = np.concatenate([second[:1], second, second[-1:]])
-    return np.asarray(ends - np.maximum(second[:-1], second[1:]) / 2)
+    order, layer = problem.model.order, enclosure.layer
+    middle = enclosure.reference.derivatives[:, :order]
+    time, unit = enclosure.time[:-1], "rad/s"
+    constant = problem.disturbance_bound + problem.reaching_rate
+
+    def excess(bandwidth: Array) -> tuple[Array, Array]:
+        """Bounds of dΦ/dt + bΦ - D - η, which is Δ(x*) where α = b."""
+        rows = layer.derivatives[:, 1:].copy()
+        rows[:, 0] -= constant
+        scaled = bandwidth * layer.derivatives[:, :-1]
+        whole = Polynomial(rows + scaled, layer.half)
+        value, radius = whole.derivatives[:, 0], whole.radius(0)
+        return value - radius, value + radius
+
+    low, high = problem.bandwidth_min, problem.bandwidth_max
+    if problem.bandwidth_is_fixed:
+        low, high = low * (1 - FIXED_TOLERANCE), high * (1 + FIXED_TOLERANCE)
+    model, radius = problem.model, enclosure.reference_radius
+    thick = layer.derivatives[:, 0] + layer.radius(0)
+    above = model.model_error_bound_under(middle, radius) - excess(low)[1]
+    below = excess(high)[0] - model.model_error_bound_over(middle, radius)
+    margins = {
+        "bandwidth_min": _smallest(time, above / thick, unit, "axis"),
+        "bandwidth_max": _smallest(time, below / thick, unit, "axis"),
+    }
+    if not problem.bandwidth_is_fixed:
+        rate = np.diff(plan.bandwidth_knots, axis=0) / np.diff(plan.knots)[:, None]
+        slack = problem.bandwidth_rate_max - np.abs(rate)
+        margins["bandwidth_rate"] = _smallest(plan.knots, slack, "rad/s²", "axis")
+    return margins
 
 
 def _smallest(time: Array, values: Array, unit: str, where: str) -> Margin:
@@ -215,62 +228,64 @@ def _smallest(time: Array, values: Array, unit: str, where: str) -> Margin:
     return Margin(float(values[row, column]), unit, float(time[row]), name)
 
 
-def _obstacle_margin(
-    plan: Plan, problem: Problem, time: Array, position: Array, tube: Tube
-) -> Margin:
-    """Clearance of the tube, bounded on every interval by a half-plane.
+def _obstacle_margin(problem: Problem, enclosure: Enclosure) -> Margin:
+    """Clearance of the tube, for all times: branch and bound.
 
-    Within an interval the reference leaves its chord by at most ``h²/8 max|ÿ|``,
-    and so does the tube; ``ν'z - size`` is linear along both chords, hence
+    An interval is as long as a step of the plan's own tube; those on which the
+    bound is negative are halved, down to those of the enclosure.
+    """
+    stride = enclosure.parts
+    start: Array = np.arange(0, len(enclosure.time) - 1, stride)
+    found: list[Margin] = []
+    while len(start):
+        values = _clearance_bounds(problem, enclosure, start, stride)
+        open_ = (values < 0).any(axis=1) & (stride > 1)
+        if not open_.all():
+            time = enclosure.time[start[~open_]]
+            found.append(_smallest(time, values[~open_], "m", "obstacle"))
+        stride //= 2
+        start = (start[open_, None] + [0, stride]).ravel()
+    return min(found, key=lambda margin: margin.value)
+
+
+def _clearance_bounds(
+    problem: Problem, enclosure: Enclosure, start: Array, stride: int
+) -> Array:
+    """Lower bounds of the clearance on some intervals, by half-planes.
+
+    Within an interval the reference leaves its chord by at most ``h²/8 max|ÿ*|``,
+    and Ω by ``h²/8 max|d²Ω/dt²|``; ``ν'z - size`` is linear along both chords, hence
     smallest at an end.
+
+    Args:
+        problem: gives the obstacles.
+        enclosure: of the plan.
+        start: indices into its times, ``(q,)``.
+        stride: how many of its intervals make one of these.
+
+    Returns:
+        Shape ``(q, num_obstacles)``.
     """
     obstacles = problem.obstacles
-    offset = obstacles.offsets(position)
-    position_tube = tube.error_bound[:, 0]
-    middle = (offset[:-1] + offset[1:]) / 2
+    ends = np.stack([start, start + stride])
+    offset = obstacles.offsets(enclosure.reference.at_ends()[ends])
+    tube = enclosure.position_tube[ends]
+    normal = offset.mean(axis=0)
     if problem.tube_margin == "support":
         # Any normal is valid; that of the nearest point of the tube is the best.
-        largest = np.maximum(position_tube[:-1], position_tube[1:])
-        nearest = obstacles.nearest_offset(middle, largest)
+        nearest = obstacles.nearest_offset(normal, tube.max(axis=0))
         inside = np.linalg.norm(nearest, axis=-1, keepdims=True) < 1e-9
-        middle = np.where(inside, middle, nearest)
-    length = np.maximum(np.linalg.norm(middle, axis=-1, keepdims=True), 1e-9)
-    normal = middle / length
+        normal = np.where(inside, normal, nearest)
+    normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
     if problem.tube_margin == "support":
         extent = np.abs(np.einsum("oij,koi->koj", obstacles.shape, normal))
-        start = (extent * position_tube[:-1, None]).sum(-1)
-        end = (extent * position_tube[1:, None]).sum(-1)
+        size = np.einsum("koj,ekj->eko", extent, tube)
     else:
-        size = np.linalg.norm(obstacles.tube_radii(position_tube), axis=-1)
-        start, end = size[:-1], size[1:]
-    bound = np.minimum(
-        (normal * offset[:-1]).sum(-1) - start, (normal * offset[1:]).sum(-1) - end
-    )
+        size = np.linalg.norm(obstacles.tube_radii(tube), axis=-1)
+    bound = ((normal * offset).sum(axis=-1) - size).min(axis=0)
 
-    # How far curve and tube leave their chords, in the metric of each obstacle.
-    h = time[1] - time[0]
-    piece = np.clip(
-        np.searchsorted(plan.knots, time[:-1], side="right") - 1,
-        0,
-        len(plan.knots) - 2,
-    )
-    curvature = _largest_acceleration(plan)[piece]
-    bend = np.abs(np.diff(tube.error_bound_rate[:, 0], axis=0)) / h
-    bend = np.maximum(bend[:-1], bend[1:])
-    bend = np.concatenate([bend[:1], bend])
-    # Twice the measured bend of the tube: it is smooth within an interval.
-    leave = h**2 / 8 * (curvature + 2 * bend)
+    inner = start[:, None] + np.arange(stride)
+    bend = enclosure.reference.largest(2) + enclosure.position_bend
+    leave = (stride * enclosure.step) ** 2 / 8 * bend[inner].max(axis=1)
     sag = np.linalg.norm(obstacles.tube_radii(leave), axis=-1)
-    values = bound - obstacles.radius - sag
-    return _smallest(time, values, "m", "obstacle")
-
-
-def _largest_acceleration(plan: Plan) -> Array:
-    """A bound of ``|ÿ*|`` on every piece, ``(N, m)``."""
-    powers = plan.coefficients
-    factors = [p * (p - 1) for p in range(powers.shape[1])]
-    h = np.diff(plan.knots)[:, None]
-    terms = [
-        f * np.abs(powers[:, p]) * h ** (p - 2) for p, f in enumerate(factors) if f
-    ]
-    return np.asarray(sum(terms))
+    return np.asarray(bound - obstacles.radius - sag)

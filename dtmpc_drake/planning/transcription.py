@@ -29,6 +29,8 @@ HAIR = 2e-3
 """By how much the bandwidth stays inside its limits, relative."""
 INPUT_HAIR = 2e-3
 """By how much the input does: the tube's pieces round off the model's kinks."""
+SPEED_HAIR = 1e-3
+"""By how much the speed does: W is proven with some slack, see `enclosure`."""
 REACH = 1.0
 """Pieces and obstacles that are further apart have no half-plane, in m."""
 BLEND = 0.125
@@ -320,7 +322,11 @@ class Transcription:
         input_margin[1:] -= bulge
         rate_chord = self._chord(used_rate[at_knots], n)
         speed_controls = self.speed_basis @ windows
-        room = p.speed_limit - rate_chord - self._bulge(used_rate)[:, None]
+        room = (
+            p.speed_limit * (1 - SPEED_HAIR)
+            - rate_chord
+            - self._bulge(used_rate)[:, None]
+        )
         speed_margin = np.stack([room - speed_controls, room + speed_controls], -1)
         # Neighbouring pieces share a control point, and so their margin there.
         shared = np.minimum(speed_margin[1:, 0], speed_margin[:-1, -1])

@@ -1,0 +1,330 @@
+"""What a plan does on short intervals of time: bounds that hold all along them.
+
+Reference and boundary layer are polynomials, so Taylor's formula about the
+middle of an interval gives their range exactly enough.  The tube follows from
+them by comparison: on every interval the filters are replaced by ones with
+constant coefficients that are at least as bad.  Nothing is sampled; only the
+rounding of floating-point numbers is left out of account.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from math import factorial
+from typing import ClassVar
+
+import numpy as np
+
+from dtmpc_drake.models import Array
+from dtmpc_drake.plan import Plan
+from dtmpc_drake.planning.problem import Problem
+from dtmpc_drake.tube import (
+    cascade_bound,
+    comparison_forcing,
+    half_grid,
+    integrate_filter,
+    propagate_cascade,
+)
+
+_THINNEST = 1e-12
+"""Boundary layer that is divided by, in m/s; one so thin is no layer at all."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Polynomial:
+    """A polynomial on each of K intervals, by its derivatives at their middles.
+
+    Attributes:
+        derivatives: value and all derivatives, ``(K, degree + 1, m)``.
+        half: of the length of an interval, in s.
+    """
+
+    derivatives: Array
+    half: float
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    @classmethod
+    def on_intervals(cls, coefficients: Array, step: float, parts: int) -> Polynomial:
+        """Cuts every piece of a piecewise polynomial into equal intervals.
+
+        Args:
+            coefficients: in powers of the time since a piece began,
+                ``(pieces, degree + 1, m)``.
+            step: length of a piece, in s.
+            parts: intervals in each piece.
+        """
+        powers, m = coefficients.shape[1:]
+        middle = (np.arange(parts) + 0.5) * step / parts
+        basis = np.zeros((parts, powers, powers))
+        for k in range(powers):
+            for p in range(k, powers):
+                scale = factorial(p) / factorial(p - k)
+                basis[:, k, p] = scale * middle ** (p - k)
+        values = basis.reshape(-1, powers) @ coefficients
+        return cls(values.reshape(-1, powers, m), step / parts / 2)
+
+    def radius(self, order: int) -> Array:
+        """How far a derivative leaves its value at the middle, ``(K, m)``."""
+        rest = self.derivatives[:, order + 1 :]
+        total = np.zeros_like(self.derivatives[:, 0])
+        for j in range(rest.shape[1]):
+            total += self.half ** (j + 1) / factorial(j + 1) * np.abs(rest[:, j])
+        return total
+
+    def largest(self, order: int) -> Array:
+        """A bound of a derivative's magnitude all along, ``(K, m)``."""
+        return np.asarray(np.abs(self.derivatives[:, order]) + self.radius(order))
+
+    def at_ends(self, order: int = 0) -> Array:
+        """A continuous derivative where intervals meet, ``(K + 1, m)``."""
+        rows = self.derivatives[:, order:]
+        weight = [self.half**j / factorial(j) for j in range(rows.shape[1])]
+        sign = [(-1.0) ** j for j in range(rows.shape[1])]
+        starts = np.einsum("j,kjm->km", np.multiply(weight, sign), rows)
+        last = np.einsum("j,jm->m", weight, rows[-1])
+        return np.concatenate([starts, last[None]])
+
+
+@dataclasses.dataclass(frozen=True)
+class Enclosure:
+    """Bounds along a plan on K equal intervals.
+
+    Attributes:
+        time: where intervals meet, ``(K + 1,)``, in s.
+        parts: intervals in each step of the plan's own tube, a power of two.
+        reference: y*.
+        reference_radius: how far x* leaves its value at the middle, ``(K, n, m)``.
+        layer: Φ*.
+        position_tube: Ω where intervals meet, ``(K + 1, m)``.
+        position_bend: a bound of ``|d²Ω/dt²|``, ``(K, m)``.
+        error_bound: bounds of ``|ỹ^(k)|`` all along, ``(K, n, m)``.
+        claim_excess: how far the plan's own bounds lie above those proven here,
+            at least, ``(K, n, m)``; negative where below.
+    """
+
+    time: Array
+    parts: int
+    reference: Polynomial
+    reference_radius: Array
+    layer: Polynomial
+    position_tube: Array
+    position_bend: Array
+    error_bound: Array
+    claim_excess: Array
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    @property
+    def step(self) -> float:
+        """Length of an interval, in s."""
+        return 2 * self.layer.half
+
+
+def enclose(
+    plan: Plan, problem: Problem, *, longest: float, velocity_slack: float
+) -> Enclosure:
+    """Encloses a plan.
+
+    The velocity tube must be known to bound itself, since Δ̄ looks at it.  So the
+    plan's own W, plus some slack, is taken for granted in Δ̄; if the bound that
+    follows is smaller for all times (`claim_excess`), no error can ever have
+    been the first to leave it, and what was granted is proven.
+
+    Args:
+        plan: whose polynomials are enclosed.
+        problem: gives the model and the controller's constants.
+        longest: interval, in s.
+        velocity_slack: what is added to the plan's own W, in its unit.
+
+    Raises:
+        ValueError: if the plan's grids are not uniform, one within the other.
+    """
+    n = problem.model.order
+    pieces, steps = len(plan.knots) - 1, len(plan.tube_times) - 1
+    span = plan.end_time - plan.start_time
+    uniform = plan.start_time + span * np.arange(steps + 1) / steps
+    if (
+        steps % pieces
+        or not np.allclose(plan.tube_times, uniform, rtol=0, atol=1e-9 * span)
+        or not np.allclose(plan.knots, uniform[:: steps // pieces], 0, 1e-9 * span)
+    ):
+        raise ValueError("a plan's knots must be equally spaced, and so its tube")
+    parts = 1
+    while span / steps / parts > longest:
+        parts *= 2
+    h = span / steps / parts
+
+    reference = Polynomial.on_intervals(
+        plan.coefficients, span / pieces, steps // pieces * parts
+    )
+
+    def hermite(value: Array, rate: Array) -> Polynomial:
+        return Polynomial.on_intervals(
+            _hermite_powers(value, rate, span / steps), span / steps, parts
+        )
+
+    layer = hermite(plan.layer_samples[:, 0], plan.layer_samples[:, 1])
+    # The cascade.  Its rates are filtered too, so they are bounded in turn.
+    stages, rates = propagate_cascade(
+        boundary_layer=layer.at_ends(),
+        boundary_layer_rate=layer.at_ends(1),
+        slope=problem.slope,
+        initial_error=problem.initial_error,
+        step=h,
+    )
+    fastest, bends = layer.largest(1), [layer.largest(2)]
+    for j in range(n - 2, -1, -1):
+        above = fastest
+        fastest = np.abs(rates[:-1, j]) + h * above
+        bends.insert(0, problem.slope * fastest + above)
+    curvature = np.stack(bends, axis=1)
+    proven = [
+        _Arc(
+            cascade_bound(stages[:-1], problem.slope, k),
+            cascade_bound(stages[1:], problem.slope, k),
+            cascade_bound(curvature, problem.slope, k),
+        )
+        for k in range(n)
+    ]
+    claimed = [
+        hermite(plan.bound_samples[:, k], plan.bound_rate_samples[:, k])
+        for k in range(n)
+    ]
+    if n > 1 and problem.velocity_bound == "comparison":
+        granted = claimed[-1].derivatives[:, 0] + claimed[-1].radius(0) + velocity_slack
+        bounds = [arc.highest(h) for arc in proven]
+        middles = half_grid(stages, rates, h)
+        proven[-1] = _velocity_tube(
+            problem=problem,
+            reference=reference,
+            layer=layer,
+            lower_bounds=np.stack(
+                [cascade_bound(middles, problem.slope, k) for k in range(n - 1)], axis=1
+            ),
+            error_bound=np.stack(
+                [*bounds[:-1], np.minimum(bounds[-1], granted)], axis=1
+            ),
+        )
+    excess = [
+        np.minimum(c.at_ends()[:-1] - a.start, c.at_ends()[1:] - a.end)
+        - h**2 / 8 * (a.bend + c.largest(2))
+        for a, c in zip(proven, claimed, strict=True)
+    ]
+    return Enclosure(
+        time=plan.start_time + h * np.arange(steps * parts + 1),
+        parts=parts,
+        reference=reference,
+        reference_radius=np.stack([reference.radius(k) for k in range(n)], axis=1),
+        layer=layer,
+        position_tube=stages[:, 0],
+        position_bend=curvature[:, 0],
+        error_bound=np.stack([arc.highest(h) for arc in proven], axis=1),
+        claim_excess=np.stack(excess, axis=1),
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Arc:
+    """A function on every interval: at both ends, and a bound of its bend."""
+
+    start: Array
+    end: Array
+    bend: Array
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    def highest(self, step: float) -> Array:
+        """A bound all along the interval."""
+        return np.asarray(np.maximum(self.start, self.end) + step**2 / 8 * self.bend)
+
+
+def _velocity_tube(
+    *,
+    problem: Problem,
+    reference: Polynomial,
+    layer: Polynomial,
+    lower_bounds: Array,
+    error_bound: Array,
+) -> _Arc:
+    """W on every interval.
+
+    With α̂ = (Δ_0 + D + η - dΦ*/dt)/Φ* for *any* Δ_0(t), here the chords of Δ(x*), the
+    comparison system holds with α̂ for α and Δ_0 for Δ(x*): what the switching gain
+    has beyond it, |Δ(x) - Δ_0|, is in E.  E is replaced by chords above it, and all
+    else is smooth and integrated as it is.
+    """
+    model, slope = problem.model, problem.slope
+    n, step = model.order, 2 * layer.half
+    ends = np.stack([reference.at_ends(k) for k in range(n)], axis=1)
+    nominal = _chords(model.model_error_bound(ends))
+    constant = problem.disturbance_bound + problem.reaching_rate
+    thickness = _interleave(layer.at_ends(), layer.derivatives[:, 0])
+    thickness = np.maximum(thickness, _THINNEST)
+    rate = _interleave(layer.at_ends(1), layer.derivatives[:, 1])
+    bandwidth = np.maximum(constant + nominal - rate, 0.0) / thickness
+
+    radius = np.stack([reference.radius(k) for k in range(n)], axis=1)
+    largest = model.model_error_bound_over(
+        reference.derivatives[:, :n], error_bound + radius
+    )
+    both = np.maximum(largest[:-1], largest[1:])
+    largest = _chords(np.concatenate([largest[:1], both, largest[-1:]]))
+
+    def forcing(bandwidth: Array, lower_bounds: Array, model_error: Array) -> Array:
+        return comparison_forcing(
+            bandwidth=bandwidth,
+            lower_bounds=lower_bounds,
+            model_error=model_error,
+            slope=slope,
+            disturbance_bound=problem.disturbance_bound,
+        )
+
+    W, _ = integrate_filter(
+        bandwidth + (n - 1) * slope,
+        forcing(bandwidth, lower_bounds, 2 * largest - nominal),
+        np.abs(problem.initial_error[-1]),
+        step,
+    )
+    # Within an interval: the worst constant coefficients there.
+    change = layer.radius(1) + np.abs(nominal[2::2] - nominal[:-2:2]) / 2
+    gain = constant + nominal[1::2] - layer.derivatives[:, 1]
+    low = np.maximum(gain - change, 0.0) / (layer.derivatives[:, 0] + layer.radius(0))
+    low = low + (n - 1) * slope
+    thin = np.maximum(layer.derivatives[:, 0] - layer.radius(0), _THINNEST)
+    worst = forcing(
+        np.maximum(gain + change, 0.0) / thin,
+        error_bound[:, :-1],
+        2 * np.maximum(largest[:-2:2], largest[2::2])
+        - np.minimum(nominal[:-2:2], nominal[2::2]),
+    )
+    decay = np.exp(-low * step)
+    after = decay * W[:-1] + (1 - decay) / low * worst
+    return _Arc(W[:-1], np.maximum(after, W[1:]), low * np.abs(worst - low * W[:-1]))
+
+
+def _interleave(ends: Array, middles: Array) -> Array:
+    """Values at ends and middles to the half grid."""
+    result = np.empty((2 * len(ends) - 1, *ends.shape[1:]))
+    result[::2], result[1::2] = ends, middles
+    return result
+
+
+def _chords(ends: Array) -> Array:
+    """Straight lines between ends, on the half grid."""
+    return _interleave(ends, (ends[:-1] + ends[1:]) / 2)
+
+
+def _hermite_powers(value: Array, rate: Array, step: float) -> Array:
+    """Cubic Hermite pieces in powers of the time since they began, ``(M, 4, m)``."""
+    rise = np.diff(value, axis=0) / step
+    start, end = rate[:-1], rate[1:]
+    return np.stack(
+        [
+            value[:-1],
+            start,
+            (3 * rise - 2 * start - end) / step,
+            (start + end - 2 * rise) / step**2,
+        ],
+        axis=1,
+    )
