@@ -60,12 +60,48 @@ def jacobian(
     Returns:
         Shape ``(K, r, p)``.
     """
-    size = point.shape[-1]
     step = np.broadcast_to(step, point.shape)
-    offsets = np.eye(size)[:, None, :] * step
+    ahead, behind = _perturbed(function, point, step, np.arange(point.shape[1]))
+    return np.asarray(np.moveaxis((ahead - behind) / (2 * step.T[:, :, None]), 0, -1))
+
+
+def bends(
+    function: Callable[[Array], Array],
+    point: Array,
+    step: Array | float,
+    coordinates: Array,
+) -> Array:
+    """How much steeper a batched function is ahead of a point than behind, halved.
+
+    With the slope of `jacobian`, ``slope dx + bend |dx|`` agrees with the function at
+    both ends of the step; at a kink it is the function.
+
+    Args:
+        function: as for `jacobian`.
+        point: shape ``(K, p)``.
+        step: broadcast to ``(K, p)``.
+        coordinates: indices of the q coordinates that are moved.
+
+    Returns:
+        Shape ``(K, r, q)``.
+    """
+    middle = function(point)
+    if not len(coordinates):
+        return np.zeros((*middle.shape, 0))
+    step = np.broadcast_to(step, point.shape)
+    ahead, behind = _perturbed(function, point, step, coordinates)
+    change = ahead + behind - 2 * middle
+    width = step.T[coordinates][:, :, None]
+    return np.asarray(np.moveaxis(change / (2 * width), 0, -1))
+
+
+def _perturbed(
+    function: Callable[[Array], Array], point: Array, step: Array, coordinates: Array
+) -> tuple[Array, Array]:
+    """The function a step ahead and behind along each coordinate, ``(q, K, r)``."""
+    offsets = np.eye(point.shape[1])[coordinates, None, :] * step
     values = function(np.concatenate([point + offsets, point - offsets]))
-    difference = values[:size] - values[size:]
-    return np.asarray(np.moveaxis(difference / (2 * step.T[:, :, None]), 0, -1))
+    return values[: len(coordinates)], values[len(coordinates) :]
 
 
 class Model(abc.ABC):

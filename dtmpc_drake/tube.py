@@ -293,7 +293,7 @@ def propagate_error_bounds(
         W, dW = integrate_filter(decay, forcing, np.abs(initial_error[-1]), step)
         change = np.abs(W - bound[:, -1]).max()
         bound[:, -1], bound_rate[:, -1] = W, dW
-        if change < 1e-9:
+        if change < 1e-7:
             break
     return Tube(boundary_layer, boundary_layer_rate, bound, bound_rate, Y)
 

@@ -16,6 +16,7 @@ from dtmpc_drake.models import (
     IntegratorChain,
     Model,
     SampledBoxBounds,
+    bends,
     euclidean_norm,
     jacobian,
     magnitude,
@@ -260,6 +261,33 @@ def test_a_wide_secant_sees_a_kink_before_it_is_reached() -> None:
     point = np.array([[0.05]])
     assert jacobian(np.abs, point) == pytest.approx(1.0)
     assert jacobian(np.abs, point, 0.1) == pytest.approx(0.5)
+
+
+@given(seed=seeds)
+def test_slope_and_bend_meet_a_function_at_both_ends_of_the_step(seed: int) -> None:
+    g = np.random.default_rng(seed)
+    point, step = g.uniform(-1, 1, (6, 3)), g.uniform(0.01, 0.5, (6, 3))
+    mixing = g.normal(size=(3, 2))
+
+    def function(x: np.ndarray) -> np.ndarray:
+        return np.abs(x) @ mixing + 0.3 * (x**2) @ mixing
+
+    chosen = np.array([0, 2])
+    slope = jacobian(function, point, step)
+    bend = bends(function, point, step, chosen)
+    for k, coordinate in enumerate(chosen):
+        for sign in (-1.0, 1.0):
+            offset = sign * step * np.eye(3)[coordinate]
+            change = np.einsum("krp,kp->kr", slope, offset)
+            change += bend[:, :, k] * step[:, coordinate, None]
+            assert function(point + offset) - function(point) == pytest.approx(
+                change, abs=1e-12
+            )
+
+
+def test_without_coordinates_there_are_no_bends() -> None:
+    none = np.zeros(0, dtype=int)
+    assert bends(np.abs, np.ones((4, 3)), 0.1, none).shape == (4, 3, 0)
 
 
 @models

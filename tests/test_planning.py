@@ -9,7 +9,7 @@ import pytest
 
 from dtmpc_drake.obstacles import Cylinder, Sphere
 from dtmpc_drake.planning import Problem, certify, plan, plan_problem
-from dtmpc_drake.planning.scp import tangent_space
+from dtmpc_drake.planning.scp import Program, kinked_coordinates, tangent_space
 from dtmpc_drake.planning.sensitivity import transitions
 from dtmpc_drake.planning.transcription import Transcription, separating_normals
 from dtmpc_drake.scenario import Scenario, Waypoint, load_scenario
@@ -300,6 +300,33 @@ def test_transitions_are_the_derivative_of_the_exact_tube():
     states, m = 3, 3
     predicted = sensitivity[piece, m + axis, states * m + m + axis]
     assert actual == pytest.approx(predicted, rel=1e-2)
+
+
+@pytest.mark.parametrize("drag_error_bound", [0.0, 0.2])
+def test_a_program_predicts_every_limit_to_first_order(drag_error_bound):
+    """Between the knots too, across the kinks of |v|, and with turning half-planes."""
+    scenario = load_scenario("known_environment")
+    scenario.model.drag_error_bound = drag_error_bound
+    scenario.limits.input = 4.0
+    tr = Transcription(Problem.from_scenario(scenario), 28)
+    wiggle = 0.02 * np.sin(np.arange(29 + 2)[:, None] + np.arange(3))
+    coefficients, bandwidth = tr.straight_line()
+    base = tr.evaluate(tr.with_ends(coefficients + wiggle), bandwidth - 0.5)
+    program = Program(
+        tr,
+        planes=len(base.planes.piece),
+        kinked=kinked_coordinates(tr),
+        accuracy=1e-6,
+    )
+    program.update(base, penalty=1e3, proximity=1.0, secant=1e-3)
+    z, _ = program.solve()
+    z *= 1e-3 / np.abs(z[program.variables.blocks["coefficients"]]).max()
+    promised, actual = program.margins_after(
+        z, tr.evaluate(*program.decisions(base, z))
+    )
+    assert len(actual) > 100
+    change = np.abs(promised - program.margins_now).max()
+    assert np.abs(actual - promised).max() < 0.1 * change
 
 
 def test_normals_separate_better_than_any_other_direction():

@@ -145,9 +145,12 @@ class _Program:
             bandwidth=self.alpha,
             error_bound=np.stack(bounds, axis=1),
         )
-        # Bulges between the knots, as seen at the guess.
+        # What the pieces on both sides need beyond a knot, as seen at the guess.
+        margin = guess.input_margin
+        worst = tr.pieces(margin).min(axis=1)
+        least = np.minimum(np.append(worst, np.inf), np.append(np.inf, worst))
         seen = tr.used_input(guess.local)
-        bulge = (p.input_limit - seen) - guess.input_margin
+        bulge = p.input_limit - seen - np.minimum(margin[:: tr.tube_steps], least)
         for row, extra in zip(tr.used_input(local), bulge, strict=True):
             self.program.AddConstraint(row, -np.inf, p.input_limit - extra - BACKOFF)
         rate, weight = tr.used_rate(local), np.linspace(0, 1, n + 1)[:, None]

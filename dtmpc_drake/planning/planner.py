@@ -17,6 +17,7 @@ from dtmpc_drake.planning.nlp import solve_nlp
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.planning.scp import (
     BACKOFF,
+    MAX_PENALTY,
     PENALTY,
     Iteration,
     Result,
@@ -213,6 +214,7 @@ def _sequential_convex(
     If that ends infeasible, the bandwidth is held at its maximum until the
     reference is feasible, and released from there.
     """
+    free = not problem.bandwidth_is_fixed and problem.start_bandwidth is None
     grids = [settings.intervals]
     while warm_start is None and grids[0] % 2 == 0 and grids[0] >= 2 * COARSEST:
         grids.insert(0, grids[0] // 2)
@@ -229,27 +231,30 @@ def _sequential_convex(
             max_iterations=settings.max_iterations if last else COARSE_ITERATIONS,
             report=report,
             coarse=not last,
+            # Rather than insist, look for another way.
+            max_penalty=10 * PENALTY if free else MAX_PENALTY,
         )
         if not last:
             decisions = (
                 splines.refine(result.iterate.coefficients, transcription.degree),
                 _doubled(result.iterate.bandwidth),
             )
-    free = not problem.bandwidth_is_fixed and problem.start_bandwidth is None
     if result.violation > BACKOFF and free:
         high = transcription.bandwidth_high
         held = dataclasses.replace(problem, bandwidth_min=high, bandwidth_max=high)
         _, first = _sequential_convex(held, settings, warm_start=None, report=report)
-        if first.violation <= BACKOFF:
-            result = iterate_to_convergence(
-                transcription,
-                (first.iterate.coefficients, first.iterate.bandwidth),
-                tolerance=TOLERANCE,
-                max_iterations=settings.max_iterations,
-                report=report,
-                # So high that what is feasible stays feasible.
-                penalty=100 * PENALTY,
-            )
+        feasible = first.violation <= BACKOFF
+        start = first.iterate if feasible else result.iterate
+        result = iterate_to_convergence(
+            transcription,
+            (start.coefficients, start.bandwidth),
+            tolerance=TOLERANCE,
+            max_iterations=settings.max_iterations,
+            report=report,
+            max_penalty=10 * PENALTY if feasible else MAX_PENALTY,
+        )
+        if feasible and result.violation > BACKOFF:
+            result = first
     return transcription, result
 
 
@@ -295,7 +300,7 @@ def _limits(transcription: Transcription, iterate: Iterate) -> str:
         found.append((worst, f"{text} at t = {knots[piece]:.2f} s"))
     worst = -iterate.input_margin.min()
     if worst > 0:
-        when = knots[iterate.input_margin.argmin()]
+        when = knots[0] + tr.step * iterate.input_margin.argmin() / tr.tube_steps
         text = f"input limit by {worst:.3f} m/s^{tr.order}"
         found.append((worst, f"{text} at t = {when:.2f} s"))
     found.sort(reverse=True)

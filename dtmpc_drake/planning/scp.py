@@ -17,8 +17,8 @@ import numpy as np
 import scipy.sparse as sp
 from pydrake.solvers import ClarabelSolver, MathematicalProgram, SolverOptions
 
-from dtmpc_drake.models import Array, jacobian
-from dtmpc_drake.planning.sensitivity import transitions
+from dtmpc_drake.models import Array, bends, jacobian
+from dtmpc_drake.planning.sensitivity import kinks, transitions
 from dtmpc_drake.planning.splines import Sparse
 from dtmpc_drake.planning.transcription import (
     Halfplanes,
@@ -36,6 +36,8 @@ BACKOFF = 3e-4
 an iterate that is feasible to this tolerance keeps the limit itself."""
 ROTATION = 1.0
 """Weight of a half-plane's rotation, in place of its second-order loss."""
+NEXT_TO_NOTHING = 1e-4
+"""Weight of moves, which are bounded from below only."""
 SECANT = 0.1
 """Half-width of the differences along the state, in its units.  Model errors
 often have a kink at rest; a derivative would not see it, a secant does."""
@@ -49,6 +51,8 @@ RATE_REACH = 0.5
 """Bandwidth rates below this part of their limit are left to the projection."""
 SPEED_REACH, INPUT_REACH = 1.0, 2.0
 """Knots with more margin than this are left out of a program, m/s and m/s²."""
+BETWEEN, BETWEEN_REACH = 4, 0.3
+"""Parts of a piece at whose ends the input is limited too, and with which margin."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,14 +127,29 @@ class _Rows:
         return matrix, low, high
 
 
+@dataclasses.dataclass(frozen=True)
+class _InputRows:
+    """Nodes between the knots, the pieces that they are in, and rows' entries."""
+
+    nodes: Array
+    piece: Array
+    values: Array
+    columns: Array
+
+
 class Program:
     """The convex program, built once; every iteration updates coefficients."""
 
     def __init__(
-        self, transcription: Transcription, *, planes: int, accuracy: float
+        self,
+        transcription: Transcription,
+        *,
+        planes: int,
+        kinked: Array,
+        accuracy: float,
     ) -> None:
         self.transcription = transcription
-        self.variables = Variables(transcription, planes=planes)
+        self.variables = Variables(transcription, planes=planes, kinked=kinked)
         v = self.variables
         self.program = MathematicalProgram()
         z = self.program.NewContinuousVariables(v.size, "z")
@@ -140,18 +159,19 @@ class Program:
         )
         # The cost is quadratic in coefficients and bandwidth, linear elsewhere.
         self._costs = {}
-        for name in ("coefficients", "bandwidth", "rotation"):
+        for name in ("coefficients", "bandwidth", "moves", "rotation"):
             block = z[v.blocks[name]]
             if not len(block):
                 continue
             self._costs[name] = self.program.AddQuadraticCost(
                 np.eye(len(block)), np.zeros(len(block)), block, is_convex=True
             )
-        if "rotation" in self._costs:
-            count = v.num_planes * v.tangents
-            self._costs["rotation"].evaluator().UpdateCoefficients(
-                2 * ROTATION * np.eye(count), np.zeros(count), 0.0, is_convex=True
-            )
+        for name, weight in (("moves", NEXT_TO_NOTHING), ("rotation", ROTATION)):
+            if name in self._costs:
+                count = v.blocks[name].stop - v.blocks[name].start
+                self._costs[name].evaluator().UpdateCoefficients(
+                    2 * weight * np.eye(count), np.zeros(count), 0.0, is_convex=True
+                )
         self._slack_cost = self.program.AddLinearCost(np.ones(1), z[-1:])
         self._z = z
         self._options = SolverOptions()
@@ -171,27 +191,38 @@ class Program:
         tr = self.transcription
         n, m = tr.order, tr.outputs
         flat = iterate.local.pack()
+        step = np.full(flat.shape[1], 1e-6)
+        step[: n * m] = secant
 
-        def outputs(x: Array) -> Array:
+        def limited(x: Array) -> Array:
             local = Local.unpack(x, n, m)
-            parts = [tr.feedforward(local), tr.used_input(local)[..., None]]
+            parts = [tr.used_input(local)[..., None]]
             if n == 1:
                 parts.append(tr.used_rate(local))
             return np.concatenate(parts, axis=-1)
 
-        step = np.full(flat.shape[1], 1e-6)
-        step[: n * m] = secant
+        def outputs(x: Array) -> Array:
+            return np.concatenate(
+                [tr.feedforward(Local.unpack(x, n, m)), limited(x)], axis=-1
+            )
+
         # By the entries of z that each knot reads, ``(K, r, C)``.
         derivative = jacobian(outputs, flat, step) @ self.variables.local_matrix
+        kinked = self.variables.kinked
+        bend = kinks(bends(limited, flat, step, kinked), step[kinked])
 
         rows = _Rows(self.variables.size)
         self._add_ends(rows, iterate)
-        self._add_transitions(rows, iterate, secant)
+        used = (bend > 0).any(axis=1) | self._add_transitions(rows, iterate, secant)
         self._add_bandwidth(rows, iterate)
         before = rows.count
-        margins = self._add_hard(rows, iterate, derivative[:, m:])
+        between = self._input_between(iterate, step)
+        margins = self._add_hard(rows, iterate, derivative[:, m:], bend, between)
         self._hard = slice(before, rows.count)
-        self._hard_margins, self._hard_margin = margins, margins(iterate)
+        used[between.piece] = used[between.piece + 1] = True
+        self._add_moves(rows, used)
+        self._hard_margins, self._planes = margins, iterate.planes
+        self._hard_margin = margins(iterate, iterate.planes)
         rows.add(np.ones((1, 1)), np.array([[self.variables.size - 1]]), 0.0, np.inf)
         self._matrix, self._low, high = rows.assemble()
         self._constraint.evaluator().UpdateCoefficients(
@@ -218,18 +249,24 @@ class Program:
         states = v.state_columns[0, : v.num_states * m, None]
         rows.add(np.ones(states.shape), states, 0.0, 0.0)
 
-    def _add_transitions(self, rows: _Rows, iterate: Iterate, secant: float) -> None:
-        """The tube follows the decisions from knot to knot."""
+    def _add_transitions(self, rows: _Rows, iterate: Iterate, secant: float) -> Array:
+        """The tube follows the decisions from knot to knot.
+
+        Returns:
+            Which moves it reads, ``(K, q)``.
+        """
         tr, v = self.transcription, self.variables
         m, N = tr.outputs, tr.intervals
         S = v.num_states * m
-        sensitivity = transitions(tr, iterate, secant=secant)
+        sensitivity = transitions(tr, iterate, secant=secant, kinked=v.kinked)
         alpha = v.blocks["bandwidth"].start + np.arange(N)[:, None] * m
         columns = np.concatenate(
             [
                 v.state_columns,
                 alpha + np.arange(2 * m),
                 v.coefficient_columns(np.arange(N), tr.degree + 1),
+                v.move_columns[:-1],
+                v.move_columns[1:],
             ],
             axis=1,
         )
@@ -242,6 +279,27 @@ class Program:
             axis=-1,
         ).reshape(N * S, -1)
         rows.add(values, columns.repeat(S, axis=0), 0.0, 0.0)
+        count = len(v.kinked)
+        reads = (sensitivity[:, :, -2 * count :] != 0).any(axis=1)
+        used = np.zeros((tr.intervals + 1, count), dtype=bool)
+        if count:
+            used[:-1] |= reads[:, :count]
+            used[1:] |= reads[:, count:]
+        return used
+
+    def _add_moves(self, rows: _Rows, used: Array) -> None:
+        """|dx| <= e for the kinked coordinates of x*, where a row reads e."""
+        v = self.variables
+        for j, coordinate in enumerate(v.kinked):
+            knots = np.flatnonzero(used[:, j])
+            columns = np.concatenate(
+                [v.knot_columns[knots], v.move_columns[knots, j, None]], axis=1
+            )
+            row = np.append(v.local_matrix[coordinate], 0.0)
+            for sign in (-1.0, 1.0):
+                values = np.broadcast_to(sign * row, columns.shape).copy()
+                values[:, -1] = 1.0
+                rows.add(values, columns, 0.0, np.inf)
 
     def _add_bandwidth(self, rows: _Rows, iterate: Iterate) -> None:
         """Bounds of α and of its rate."""
@@ -263,25 +321,37 @@ class Program:
         rows.add(values, pairs, -limit - change[fast], limit - change[fast])
 
     def _add_hard(
-        self, rows: _Rows, iterate: Iterate, derivative: Array
-    ) -> Callable[[Iterate], Array]:
+        self,
+        rows: _Rows,
+        iterate: Iterate,
+        derivative: Array,
+        bend: Array,
+        between: _InputRows,
+    ) -> Callable[[Iterate, Halfplanes], Array]:
         """Input, speed and obstacles, each relaxed by the shared slack.
 
         Returns:
-            The margins of the same rows at another iterate.
+            The margins of the same rows at another iterate, and with the same
+            half-planes or turned ones.
         """
         tr, v = self.transcription, self.variables
         n, m = tr.order, tr.outputs
-        near = np.flatnonzero(iterate.input_margin < INPUT_REACH)
+        input_margin = iterate.input_margin[:: tr.tube_steps]
+        near = np.flatnonzero(input_margin < INPUT_REACH)
         close = iterate.speed_margin < SPEED_REACH
         close[1:, 0] = False  # the last control point of the piece before
         speeds = np.nonzero(close)
         planes = iterate.planes
 
-        def margins(at: Iterate) -> Array:
+        def margins(at: Iterate, planes: Halfplanes) -> Array:
             same = tr.margins(at, planes)
             return np.concatenate(
-                [at.input_margin[near], at.speed_margin[speeds], same.margin.ravel()]
+                [
+                    at.input_margin[:: tr.tube_steps][near],
+                    at.input_margin[between.nodes],
+                    at.speed_margin[speeds],
+                    same.margin.ravel(),
+                ]
             )
 
         def add(values: Array, columns: Array, margin: Array) -> None:
@@ -293,18 +363,21 @@ class Program:
                 np.inf,
             )
 
-        add(-derivative[near, 0], v.knot_columns[near], iterate.input_margin[near])
+        reads = np.concatenate([v.knot_columns, v.move_columns], axis=1)
+        by_reads = np.concatenate([derivative, bend], axis=2)
+        add(-by_reads[near, 0], reads[near], input_margin[near])
+        add(between.values, between.columns, iterate.input_margin[between.nodes])
 
         piece, control, axis, sign = speeds
         count = tr.speed_basis.shape[1]
         speed = tr.speed_basis[control] * np.where(sign, 1.0, -1.0)[:, None]
         columns = piece[:, None] + np.arange(count)
         if n == 1:
-            rate = derivative[:, 1:]
+            rate = by_reads[:, 1:]
         else:
-            states = v.num_states * m
-            rate = np.zeros((tr.intervals + 1, m, v.knot_columns.shape[1]))
-            rate[:, :, -states:] = v.rate_matrix
+            states = slice(v.knot_columns.shape[1] - v.num_states * m, None)
+            rate = np.zeros((tr.intervals + 1, m, reads.shape[1]))
+            rate[:, :, states][..., : v.num_states * m] = v.rate_matrix
         weight = (control / n)[:, None]
         add(
             np.concatenate(
@@ -318,8 +391,8 @@ class Program:
             np.concatenate(
                 [
                     columns * m + axis[:, None],
-                    v.knot_columns[piece],
-                    v.knot_columns[piece + 1],
+                    reads[piece],
+                    reads[piece + 1],
                 ],
                 axis=1,
             ),
@@ -327,6 +400,65 @@ class Program:
         )
         add(*self._halfplane_rows(planes), planes.margin.ravel())
         return margins
+
+    def _input_between(self, iterate: Iterate, step: Array) -> _InputRows:
+        """The input within the pieces that are near its limit.
+
+        At some fixed nodes, and where it peaks.  The reference there is linear in
+        its coefficients; the tube's states are taken to move as a mean of those at
+        both ends of the piece.
+        """
+        tr, v = self.transcription, self.variables
+        n, m = tr.order, tr.outputs
+        inner = tr.pieces(iterate.input_margin)[:, 1:-1]
+        chosen = np.zeros(inner.shape, dtype=bool)
+        chosen[:, tr.tube_steps // BETWEEN - 1 :: tr.tube_steps // BETWEEN] = True
+        chosen[np.arange(len(inner)), inner.argmin(axis=1)] = True
+        piece, node = np.nonzero(chosen & (inner < BETWEEN_REACH))
+        nodes = piece * tr.tube_steps + node + 1
+        if not len(piece):
+            none = np.zeros((0, 1), dtype=int)
+            return _InputRows(nodes, piece, np.zeros((0, 1)), none)
+        flat = tr.local_at(iterate, nodes).pack()
+
+        def used_input(x: Array) -> Array:
+            return tr.used_input(Local.unpack(x, n, m))[..., None]
+
+        slope = Local.unpack(jacobian(used_input, flat, step)[:, 0], n, m)
+        bend = kinks(bends(used_input, flat, step, v.kinked), step[v.kinked])[:, 0]
+        rows = np.concatenate([slope.state, slope.highest[:, None]], axis=1)
+        coefficients = np.einsum("pkc,pkm->pcm", tr.basis_at(nodes), rows)
+        states = np.einsum("pkm,kms->ps", slope.error_bound, np.stack(v.bounds))
+        states[:, (n - 1) * m : n * m] += slope.layer
+        later = ((nodes % tr.tube_steps) / tr.tube_steps)[:, None]
+
+        def at_ends(values: Array) -> Array:
+            return np.concatenate([(1 - later) * values, later * values], axis=1)
+
+        alpha = v.blocks["bandwidth"].start + piece[:, None] * m + np.arange(2 * m)
+        return _InputRows(
+            nodes=nodes,
+            piece=piece,
+            values=-np.concatenate(
+                [
+                    coefficients.reshape(len(piece), -1),
+                    at_ends(slope.bandwidth),
+                    at_ends(states),
+                    at_ends(bend),
+                ],
+                axis=1,
+            ),
+            columns=np.concatenate(
+                [
+                    v.coefficient_columns(piece, tr.degree + 1),
+                    alpha,
+                    v.state_columns[piece],
+                    v.move_columns[piece],
+                    v.move_columns[piece + 1],
+                ],
+                axis=1,
+            ),
+        )
 
     def _halfplane_rows(self, planes: Halfplanes) -> tuple[Array, Array]:
         """Values and columns of every half-plane at every control point."""
@@ -405,13 +537,32 @@ class Program:
                 return np.asarray(result.get_x_val()), status
         return None, status
 
+    @property
+    def margins_now(self) -> Array:
+        """Of the relaxed rows, at the iterate that was linearised around."""
+        return self._hard_margin
+
+    def margins_after(self, z: Array, reached: Iterate) -> tuple[Array, Array]:
+        """Margins of the relaxed rows as promised for a step, and as reached."""
+        promised = self._hard_margin + (self._matrix @ z)[self._hard] - z[-1]
+        return promised, self._hard_margins(reached, self._turned(z))
+
     def correct(self, z: Array, reached: Iterate) -> None:
-        """Shifts the hard rows to what a step really led to (second order)."""
-        promised = (self._matrix @ z)[self._hard] - z[-1]
-        error = self._hard_margins(reached) - self._hard_margin - promised
+        """Shifts the relaxed rows to what a step really led to (second order)."""
+        promised, actual = self.margins_after(z, reached)
         low = self._low.copy()
-        low[self._hard] -= error
+        low[self._hard] -= actual - promised
         self._constraint.evaluator().UpdateLowerBound(low)
+
+    def _turned(self, z: Array) -> Halfplanes:
+        """The half-planes as a step turns them."""
+        v, normal = self.variables, self._planes.normal.copy()
+        free = min(len(normal), v.num_planes) if v.tangents else 0
+        if free:
+            turn = z[v.blocks["rotation"]].reshape(-1, v.tangents)[:free]
+            normal[:free] += np.einsum("pt,pti->pi", turn, tangent_space(normal[:free]))
+            normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        return dataclasses.replace(self._planes, normal=normal)
 
     def model_cost(self, z: Array) -> float:
         """The program's idea of the cost after a step."""
@@ -467,6 +618,21 @@ def tangent_space(normal: Array) -> Array:
     outer = mirror[:, :, None] * mirror[:, None, :]
     size = (mirror**2).sum(1)[:, None, None]
     return np.asarray((np.eye(rows) - 2 * outer / size)[:, 1:])
+
+
+def kinked_coordinates(transcription: Transcription) -> Array:
+    """Coordinates of x*, flattened, in which the model error may have kinks.
+
+    Those that Δ depends on, seen by a step from rest.
+    """
+    model = transcription.problem.model
+    if not model.error_bound_varies:
+        return np.zeros(0, dtype=int)
+    size = transcription.order * transcription.outputs
+    states = np.concatenate([np.zeros((1, size)), np.eye(size)])
+    shape = (1 + size, transcription.order, transcription.outputs)
+    values = model.model_error_bound(states.reshape(shape))
+    return np.flatnonzero((np.abs(values[1:] - values[0]) > 1e-9).any(axis=1))
 
 
 def violation(iterate: Iterate) -> float:
@@ -541,6 +707,7 @@ def _walk(
     trial, worst = tried(z)
     if kept(trial, worst, 1.0):
         return z, trial, worst, 1.0
+    bend = np.zeros_like(z)
     if tries > 2:
         program.correct(z, trial)
         corrected, _ = program.solve()
@@ -548,13 +715,16 @@ def _walk(
             trial, worst = tried(corrected)
             if kept(trial, worst, 1.0):
                 return corrected, trial, worst, 1.0
+            # What is of second order shrinks with the square of the step.
+            bend = corrected - z
     fraction = 0.5
     while tries > 1 and fraction > SHORTEST:
-        trial, worst = tried(fraction * z)
+        part = fraction * z + fraction**2 * bend
+        trial, worst = tried(part)
         if kept(trial, worst, fraction):
-            return z, trial, worst, fraction
+            return part, trial, worst, fraction
         fraction /= 2
-    return z, current, violation(current), 0.0
+    return 0 * z, current, violation(current), 0.0
 
 
 def iterate_to_convergence(
@@ -564,7 +734,7 @@ def iterate_to_convergence(
     tolerance: float,
     max_iterations: int,
     report: Callable[[Iteration], None],
-    penalty: float = PENALTY,
+    max_penalty: float = MAX_PENALTY,
     coarse: bool = False,
 ) -> Result:
     """Runs the sequential convex program from a start.
@@ -576,7 +746,7 @@ def iterate_to_convergence(
             cost.
         max_iterations: at most so many convex programs.
         report: is given every iteration.
-        penalty: first weight of the slack.
+        max_penalty: largest weight of the slack that is tried.
         coarse: solve the programs less accurately, and do without the
             second-order correction of steps that fail.
     """
@@ -588,11 +758,12 @@ def iterate_to_convergence(
         tr,
         # Other pieces may come near on the way.
         planes=len(current.planes.piece) + tr.intervals // 4,
+        kinked=kinked_coordinates(tr),
         accuracy=COARSE_ACCURACY if coarse else ACCURACY,
     )
-    costs: list[float] = []
+    merits: list[float] = []
     stuck = failures = 0
-    proximity, secant = 0.0, SECANT
+    penalty, proximity, secant = PENALTY, 0.0, SECANT
     for _ in range(max_iterations):
         t0 = clock()
         program.update(current, penalty, proximity, secant)
@@ -615,7 +786,7 @@ def iterate_to_convergence(
         tries = 1 if last else 2 if coarse else 3
         step = _walk(program, current, z, merit, predicted, penalty, tries)
         z, trial, trial_worst, fraction = step
-        flat = current.local.pack() + fraction * program.variables.local(z)
+        flat = current.local.pack() + program.variables.local(z)
         defect = np.abs(flat - trial.local.pack())
         bound = slice(-tr.order * tr.outputs, None)
         t3 = clock()
@@ -638,17 +809,19 @@ def iterate_to_convergence(
         )
         moved = np.abs(trial.local.state - current.local.state)[:, 1:].max(initial=0.0)
         secant = float(np.clip(moved, SECANT / 20, SECANT))
-        costs.append(current.cost)
+        merits.append(merit)
         current, worst = trial, trial_worst
         stuck = 0 if fraction else stuck + 1
-        slow = len(costs) > 2 and costs[-3] - current.cost <= little
+        reached = current.cost + penalty * _excess(worst)
+        slow = len(merits) > 2 and merits[-3] - reached <= little
         done = predicted <= little or stuck > 3
         if worst <= BACKOFF and (done or (slow and not stuck)):
             return Result(current, True, worst)
         if done:
-            if penalty >= MAX_PENALTY:
+            if penalty >= max_penalty:
                 return Result(current, False, worst)
             penalty, stuck = 10 * penalty, 0
+            merits.clear()
         if fraction < 0.3:
             proximity = max(4 * proximity, 0.1)
         elif fraction == 1.0:

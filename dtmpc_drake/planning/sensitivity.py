@@ -11,13 +11,20 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dtmpc_drake.models import Array, jacobian
+from dtmpc_drake.models import Array, bends, jacobian
 from dtmpc_drake.planning import splines
 from dtmpc_drake.planning.transcription import Iterate, Transcription
 
+SMOOTH = 1.0
+"""Second derivatives up to twice this are left to the next linearisation."""
+
 
 def transitions(
-    transcription: Transcription, iterate: Iterate, *, secant: float
+    transcription: Transcription,
+    iterate: Iterate,
+    *,
+    secant: float,
+    kinked: Array | None = None,
 ) -> Array:
     """Derivatives of the tube's states at the end of each piece.
 
@@ -25,11 +32,13 @@ def transitions(
         transcription: of the problem.
         iterate: to linearise around.
         secant: half-width of the differences along the state.
+        kinked: q coordinates of x*, flattened, in which the model has kinks;
+            none if left out.
 
     Returns:
-        ``(N, S m, S m + 2 m + (n + 2) m)`` with S states: the columns are the
-        states at the start, α at both ends, and the spline coefficients that
-        act on the piece.
+        ``(N, S m, S m + 2 m + (n + 2) m + 2 q)`` with S states: the columns are
+        the states at the start, α at both ends, the spline coefficients that act
+        on the piece, and how far the kinked coordinates have moved at both ends.
     """
     tr, p = transcription, transcription.problem
     n, m, N = tr.order, tr.outputs, tr.intervals
@@ -61,7 +70,12 @@ def transitions(
             result[:, :, axes, column * m + axes] = each[..., column].swapaxes(1, 2)
         return result.reshape(N, S * m, -1)
 
-    derivative = _all_pairs(tr.tube_rates, reference, alpha, states, secant)[index]
+    if kinked is None:
+        kinked = np.zeros(0, dtype=int)
+    derivative, bend = _all_pairs(
+        tr.tube_rates, reference, alpha, states, secant, kinked
+    )
+    derivative, bend = derivative[index], bend[index]
     by_state, by_alpha, by_tube = np.split(derivative, [n * m, n * m + m], axis=-1)
     # Columns of the input: α interpolated, the state through its spline.
     basis = np.stack(
@@ -75,6 +89,8 @@ def transitions(
             by_alpha * (1 - weight),
             by_alpha * weight,
             by_coefficient.reshape(N, points + 1, S * m, -1),
+            bend * (1 - weight),
+            bend * weight,
         ],
         axis=-1,
     )
@@ -113,8 +129,12 @@ def _all_pairs(
     alpha: Array,
     states: Array,
     secant: float,
-) -> Array:
-    """Every rate by every reference state, bandwidth and tube state."""
+    kinked: Array,
+) -> tuple[Array, Array]:
+    """Every rate by every reference state, bandwidth and tube state.
+
+    And how much it bends upwards in the kinked coordinates.
+    """
     count, S, m = states.shape
     split = reference[0].size
 
@@ -132,7 +152,14 @@ def _all_pairs(
     )
     step = np.full(flat.shape[1], 1e-6)
     step[:split] = secant
-    return jacobian(flat_rates, flat, step)
+    # More forcing only makes the tube larger, so the bend may be left to be chosen.
+    bend = kinks(bends(flat_rates, flat, step, kinked), secant)
+    return jacobian(flat_rates, flat, step), bend
+
+
+def kinks(bend: Array, secant: Array | float) -> Array:
+    """Bends that are kinks: upwards, and more than a smooth function has."""
+    return np.asarray(np.where(bend > SMOOTH * secant, bend, 0.0))
 
 
 def _axis_by_axis(

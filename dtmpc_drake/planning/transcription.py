@@ -120,7 +120,7 @@ class Iterate:
         tube_controls: Bézier points that bound Ω from above, same shape.
         planes: that part the pieces from the obstacles within `REACH`.
         speed_margin: ``(N, n + 1, m, 2)``, both signs.
-        input_margin: ``(N + 1,)``.
+        input_margin: at the nodes of the fine grid, ``(M + 1,)``.
         cost: of the plan.
     """
 
@@ -308,26 +308,13 @@ class Transcription:
             disturbance_bound=p.disturbance_bound,
         )
         at_knots = slice(None, None, self.tube_steps)
-        local = Local(
-            state=nodes[at_knots, :n],
-            highest=nodes[at_knots, n],
-            layer=tube.boundary_layer[at_knots],
-            bandwidth=bandwidth,
-            error_bound=tube.error_bound[at_knots],
-        )
-        # Where the knots under-represent a piece, take off the difference.
-        bulge = self._bulge(used_input[:, None])[:, 0]
-        input_margin = p.input_limit * (1 - INPUT_HAIR) - used_input[at_knots]
-        input_margin[:-1] -= bulge
-        input_margin[1:] -= bulge
+        local = self._local(reference, tube, alpha[::2], at_knots)
         rate_chord = self._chord(used_rate[at_knots], n)
         speed_controls = self.speed_basis @ windows
-        room = (
-            p.speed_limit * (1 - SPEED_HAIR)
-            - rate_chord
-            - self._bulge(used_rate)[:, None]
-        )
-        speed_margin = np.stack([room - speed_controls, room + speed_controls], -1)
+        # Where the knots under-represent a piece, take off the difference.
+        limit = p.speed_limit * (1 - SPEED_HAIR) - self._bulge(used_rate)[:, None]
+        limit = limit - rate_chord
+        speed_margin = np.stack([limit - speed_controls, limit + speed_controls], -1)
         # Neighbouring pieces share a control point, and so their margin there.
         shared = np.minimum(speed_margin[1:, 0], speed_margin[:-1, -1])
         speed_margin[1:, 0] = speed_margin[:-1, -1] = shared
@@ -343,9 +330,38 @@ class Transcription:
             tube_controls=tube_controls,
             planes=self._halfplanes(controls, tube_controls),
             speed_margin=speed_margin,
-            input_margin=input_margin,
+            input_margin=p.input_limit * (1 - INPUT_HAIR) - used_input,
             cost=self._cost(local, bandwidth),
         )
+
+    def _local(
+        self, reference: Array, tube: Tube, bandwidth: Array, nodes: Array | slice
+    ) -> Local:
+        """What enters at some nodes of the fine grid."""
+        state = reference[::2][nodes]
+        return Local(
+            state=state[:, : self.order],
+            highest=state[:, self.order],
+            layer=tube.boundary_layer[nodes],
+            bandwidth=bandwidth[nodes],
+            error_bound=tube.error_bound[nodes],
+        )
+
+    def local_at(self, iterate: Iterate, nodes: Array) -> Local:
+        """What enters at some nodes of the fine grid of an iterate."""
+        grid = np.arange(self.intervals * self.tube_steps + 1) / self.tube_steps
+        knots = np.arange(self.intervals + 1)
+        alpha = [np.interp(grid, knots, a) for a in iterate.bandwidth.T]
+        return self._local(iterate.reference, iterate.tube, np.stack(alpha, -1), nodes)
+
+    def basis_at(self, nodes: Array) -> Array:
+        """Spline basis of y* and its derivatives, ``(len(nodes), n + 1, degree + 1)``.
+
+        Args:
+            nodes: of the fine grid, but the last.
+        """
+        basis = self._half_basis.reshape(-1, self.order + 1, self.degree + 1)
+        return np.asarray(basis[2 * (nodes % self.tube_steps)])
 
     def _cost(self, local: Local, bandwidth: Array) -> float:
         p = self.problem
@@ -365,9 +381,9 @@ class Transcription:
     def _bulge(self, nodes: Array) -> Array:
         """How far each piece rises above its chord, ``(N, ...)``."""
         chord = self._chord(nodes[:: self.tube_steps], self.tube_steps)
-        return np.asarray((self._pieces(nodes) - chord).max(axis=1))
+        return np.asarray((self.pieces(nodes) - chord).max(axis=1))
 
-    def _pieces(self, nodes: Array) -> Array:
+    def pieces(self, nodes: Array) -> Array:
         """Node values piece by piece, both ends included."""
         index = np.arange(self.intervals)[:, None] * self.tube_steps
         return np.asarray(nodes[index + np.arange(self.tube_steps + 1)])
@@ -381,7 +397,7 @@ class Transcription:
         bernstein = np.concatenate(
             [(1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t), t**3], axis=1
         )
-        excess = self._pieces(tube.error_bound[:, 0]) - bernstein @ points
+        excess = self.pieces(tube.error_bound[:, 0]) - bernstein @ points
         points = points + np.maximum(excess.max(axis=1), 0.0)[:, None]
         return np.asarray(self._hermite_elevation @ points)
 

@@ -2,8 +2,9 @@
 
 The vector z stacks, knot-major with the axes fastest: the spline coefficients of
 y*; the bandwidth at the knots; the tube's states at the knots (the cascade's
-stages Y_0 ... Y_(n-1) = Φ and, for the comparison bound, W); the rotations of the
-separating half-planes; and one slack.
+stages Y_0 ... Y_(n-1) = Φ and, for the comparison bound, W); bounds of how far those
+coordinates of x* have moved at the knots in which the model has kinks; the rotations
+of the separating half-planes; and one slack.
 
 On a uniform grid every knot, and every piece, reads its own few entries of z in
 the same way: `knot_columns` and `piece_columns` say which, and small constant
@@ -26,6 +27,7 @@ class Variables:
     Args:
         transcription: of the problem.
         planes: how many separating half-planes may turn.
+        kinked: coordinates of x*, flattened, in which the model has kinks.
 
     Attributes:
         blocks: slices of z by name.
@@ -33,14 +35,19 @@ class Variables:
         num_states: S, of the tube at a knot.
         knot_columns: entries that one knot reads, ``(K, C)``.
         local_matrix: from these to `Local.pack`, ``(L, C)``.
+        kinked: as given.
+        move_columns: the moves' bounds at a knot, ``(K, len(kinked))``.
         state_columns: the tube's states at both ends of a piece, ``(N, 2 S m)``.
+        bounds: from the states at a knot to R_0 ... R_(n-1), each ``(m, S m)``.
         rate_matrix: from the states at a knot to the bound of dỹ/dt (n > 1),
             ``(m, S m)``.
         tube_matrix: from the states at both ends of a piece to the Bézier
             points of Ω, ``(control_degree + 1, m, 2 S m)``.
     """
 
-    def __init__(self, transcription: Transcription, *, planes: int) -> None:
+    def __init__(
+        self, transcription: Transcription, *, planes: int, kinked: Array
+    ) -> None:
         tr = transcription
         n, m, N = tr.order, tr.outputs, tr.intervals
         obstacles = tr.problem.obstacles
@@ -55,6 +62,7 @@ class Variables:
             ("coefficients", (N + tr.degree) * m),
             ("bandwidth", (N + 1) * m),
             ("states", (N + 1) * self.num_states * m),
+            ("moves", (N + 1) * len(kinked)),
             ("rotation", self.num_planes * self.tangents),
             ("slack", 1),
         ):
@@ -71,9 +79,13 @@ class Variables:
             ],
             axis=1,
         )
+        self.kinked = kinked
+        self.move_columns = (
+            self.blocks["moves"].start + knots * len(kinked) + np.arange(len(kinked))
+        )
         states = self.blocks["states"].start
         self.state_columns = states + knots[:-1] * S + np.arange(2 * S)
-        bounds = self._bounds(transcription)
+        self.bounds = bounds = self._bounds(transcription)
         self.local_matrix = self._local_matrix(transcription, bounds)
         self.rate_matrix = bounds[min(1, n - 1)]
         self.tube_matrix = self._tube_matrix(transcription)
