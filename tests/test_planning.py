@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from dtmpc_drake.models import DragDoubleIntegrator
 from dtmpc_drake.obstacles import Cylinder, Sphere
 from dtmpc_drake.planning import Problem, certify, plan, plan_problem
 from dtmpc_drake.planning.scp import Program, kinked_coordinates, tangent_space
@@ -218,6 +219,24 @@ def field(model, **changes) -> Scenario:
     for name, value in changes.items():
         setattr(scenario, name, value)
     return scenario
+
+
+@pytest.mark.parametrize(
+    "backend", ["clarabel", pytest.param("ipopt", marks=pytest.mark.slow)]
+)
+def test_a_constant_bound_is_kept_above_the_true_one(backend):
+    """Where the speed must come near the one that the constant is made for."""
+    model = DragDoubleIntegrator(drag_estimate=0.1, drag_error_bound=0.05)
+    scenario = field(model, duration=4.0)
+    scenario.limits.speed = 2.2
+    scenario.controller.bandwidth.fixed = 3.0
+    scenario.planner.uncertainty = "constant"
+    scenario.planner.intervals = 12
+    scenario.planner.backend = backend
+    result = plan(scenario)
+    assert result.certified, result
+    margin = result.certificate.margins["model_error"].value
+    assert 0 <= margin < 0.01  # the limit is felt
 
 
 @pytest.mark.parametrize(

@@ -153,6 +153,9 @@ class _Program:
         bulge = p.input_limit - seen - np.minimum(margin[:: tr.tube_steps], least)
         for row, extra in zip(tr.used_input(local), bulge, strict=True):
             self.program.AddConstraint(row, -np.inf, p.input_limit - extra - BACKOFF)
+        trusted = tr.error_margin(local.state, local.error_bound)
+        if trusted.size:
+            self._rows(BACKOFF - trusted, -np.inf, 0.0)
         rate, weight = tr.used_rate(local), np.linspace(0, 1, n + 1)[:, None]
         chord = rate[:-1, None] * (1 - weight) + rate[1:, None] * weight
         seen_rate = tr.used_rate(guess.local)

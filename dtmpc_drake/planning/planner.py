@@ -303,5 +303,9 @@ def _limits(transcription: Transcription, iterate: Iterate) -> str:
         when = knots[0] + tr.step * iterate.input_margin.argmin() / tr.tube_steps
         text = f"input limit by {worst:.3f} m/s^{tr.order}"
         found.append((worst, f"{text} at t = {when:.2f} s"))
+    worst = -iterate.error_margin.min(initial=np.inf)
+    if worst > 0:
+        text = f"the constant uncertainty bound by {worst:.3f} m/s^{tr.order}"
+        found.append((worst, text))
     found.sort(reverse=True)
     return "cannot keep " + ", ".join(text for _, text in found)

@@ -199,6 +199,7 @@ class Program:
             parts = [tr.used_input(local)[..., None]]
             if n == 1:
                 parts.append(tr.used_rate(local))
+            parts.append(-tr.error_margin(local.state, local.error_bound))
             return np.concatenate(parts, axis=-1)
 
         def outputs(x: Array) -> Array:
@@ -342,6 +343,7 @@ class Program:
         close[1:, 0] = False  # the last control point of the piece before
         speeds = np.nonzero(close)
         planes = iterate.planes
+        trusted = iterate.error_margin[:: tr.tube_steps]
 
         def margins(at: Iterate, planes: Halfplanes) -> Array:
             same = tr.margins(at, planes)
@@ -349,6 +351,7 @@ class Program:
                 [
                     at.input_margin[:: tr.tube_steps][near],
                     at.input_margin[between.nodes],
+                    at.error_margin[:: tr.tube_steps].ravel(),
                     at.speed_margin[speeds],
                     same.margin.ravel(),
                 ]
@@ -367,6 +370,12 @@ class Program:
         by_reads = np.concatenate([derivative, bend], axis=2)
         add(-by_reads[near, 0], reads[near], input_margin[near])
         add(between.values, between.columns, iterate.input_margin[between.nodes])
+        count = trusted.shape[1]
+        add(
+            -by_reads[:, by_reads.shape[1] - count :].reshape(-1, reads.shape[1]),
+            reads.repeat(count, axis=0),
+            trusted.ravel(),
+        )
 
         piece, control, axis, sign = speeds
         count = tr.speed_basis.shape[1]
@@ -641,8 +650,8 @@ def violation(iterate: Iterate) -> float:
     Measured from the backed-off limits: at most `BACKOFF` is feasible.
     """
     margins = [iterate.speed_margin.min(), iterate.input_margin.min()]
-    if iterate.planes.margin.size:
-        margins.append(iterate.planes.margin.min())
+    for some in (iterate.error_margin, iterate.planes.margin):
+        margins.append(some.min(initial=np.inf))
     return float(max(0.0, BACKOFF - min(margins)))
 
 

@@ -18,7 +18,7 @@ from typing import ClassVar
 import numpy as np
 import scipy.sparse.linalg
 
-from dtmpc_drake.models import Array
+from dtmpc_drake.models import Array, ConstantUncertainty
 from dtmpc_drake.plan import Plan
 from dtmpc_drake.planning import splines
 from dtmpc_drake.planning.problem import Problem
@@ -121,6 +121,8 @@ class Iterate:
         planes: that part the pieces from the obstacles within `REACH`.
         speed_margin: ``(N, n + 1, m, 2)``, both signs.
         input_margin: at the nodes of the fine grid, ``(M + 1,)``.
+        error_margin: of the constant that stands for Δ over the true one, there,
+            ``(M + 1, m)``; without such a constant there are no columns.
         cost: of the plan.
     """
 
@@ -134,6 +136,7 @@ class Iterate:
     planes: Halfplanes
     speed_margin: Array
     input_margin: Array
+    error_margin: Array
     cost: float
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
@@ -331,6 +334,7 @@ class Transcription:
             planes=self._halfplanes(controls, tube_controls),
             speed_margin=speed_margin,
             input_margin=p.input_limit * (1 - INPUT_HAIR) - used_input,
+            error_margin=self.error_margin(nodes[:, :n], tube.error_bound),
             cost=self._cost(local, bandwidth),
         )
 
@@ -430,6 +434,18 @@ class Transcription:
             gain=local.bandwidth * local.layer,
             disturbance_bound=self.problem.disturbance_bound,
         )
+
+    def error_margin(self, state: Array, error_bound: Array) -> Array:
+        """How far a constant that stands for Δ lies above the true one.
+
+        Returns:
+            ``(..., m)``; ``(..., 0)`` where Δ is not replaced by a constant.
+        """
+        model = self.problem.model
+        if not isinstance(model, ConstantUncertainty):
+            return np.zeros((*state.shape[:-2], 0))
+        true = model.model.model_error_bound_over(state, error_bound)
+        return np.asarray(model.bound * (1 - INPUT_HAIR) - true)
 
     def tube_rates(self, reference: Array, bandwidth: Array, states: Array) -> Array:
         """The tube's differential equation; shapes as `tube.filter_rates`."""
