@@ -699,6 +699,8 @@ def _checked(schema: Any, value: Any, path: str) -> Any:
     if origin is dict:
         if not isinstance(value, Mapping):
             raise ScenarioError(path, value, "a mapping of names to values")
+        if "_tag" in value:
+            raise ScenarioError(path, value["_tag"], "a mapping without a tag")
         return {k: _checked(args[1], v, _join(path, str(k))) for k, v in value.items()}
     if dataclasses.is_dataclass(schema):
         return _checked_fields(schema, value, path)
