@@ -428,7 +428,7 @@ BAD = {
         "3",
         "one of !DragDoubleIntegrator, !IntegratorChain, with its fields",
     ),
-    "tag for the plant": ("plant", "!Drag {drag: 1}", "plant", "Drag", "without a tag"),
+    "tag for the plant": ("plant", "!Drag {drag: 1}", "plant", "'!Drag'", "without"),
     "number for the plant": ("plant", "3", "plant", "3", "a mapping of names"),
     "mapping for a list": ("obstacles", "{a: 1}", "obstacles", "{'a': 1}", "a list"),
     "list for a waypoint": (
