@@ -8,6 +8,8 @@ import json
 import numpy as np
 import pytest
 
+from diagrams.experiment import CANDIDATES, run
+from diagrams.which_side import SEEDS, compare, random_field
 from dtmpc_drake.models import IntegratorChain
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Obstacle, Sphere
 from dtmpc_drake.planning import Problem, plan, plan_problem
@@ -43,23 +45,6 @@ def flight(obstacles: list[Obstacle], outputs: int = 3, **changes) -> Scenario:
 
 def ways(scenario: Scenario, count: int = 50) -> list[Way]:
     return propose(Problem.from_scenario(scenario), count)
-
-
-def random_field(seed: int) -> Scenario:
-    """Ten pillars on 9 m, of which the straight line meets some."""
-    generator = np.random.default_rng(seed)
-    scenario = Scenario(
-        name=f"field_{seed}",
-        start=Waypoint(position=[0.0, 0.0, 1.0], velocity=[0.0, 1.0, 0.0]),
-        goal=Waypoint(position=[0.0, 14.0, 1.0], velocity=[0.0, 1.0, 0.0]),
-        duration=10.0,
-    )
-    scenario.planner.intervals = 28
-    scenario.planner.time_budget = 1.0
-    for _ in range(10):
-        x, y = generator.uniform(-2.5, 2.5), generator.uniform(2.5, 11.5)
-        scenario.obstacles.append(Cylinder([x, y], generator.uniform(0.4, 0.9)))
-    return scenario
 
 
 # What is proposed.
@@ -352,8 +337,6 @@ def test_the_figure_shows_a_bar_for_every_candidate(best, tmp_path):
 
 
 def test_a_run_writes_the_table_and_the_figure(tmp_path):
-    from diagrams.experiment import CANDIDATES, run
-
     scenario = flight([Cylinder([0.1, 4.0], 0.8)], outputs=2)
     experiment = run(scenario, tmp_path)
     assert (tmp_path / CANDIDATES) in experiment.files
@@ -372,19 +355,13 @@ def test_a_run_writes_the_table_and_the_figure(tmp_path):
 
 @pytest.mark.slow
 def test_more_random_fields_are_solved_than_from_the_straight_line():
-    straight, search, dearer = set(), set(), []
-    for seed in range(30):
-        scenario = random_field(seed)
-        before = plan(scenario)
-        scenario.planner.initial_guess = "best_side"
-        after = plan(scenario)
-        if before.certified:
-            straight.add(seed)
-        if after.certified:
-            search.add(seed)
-        if before.certified and after.cost > 1.05 * before.cost:
-            dearer.append(seed)
+    found = compare(SEEDS)
+    straight = {c.seed for c in found if c.straight.certified}
+    search = {c.seed for c in found if c.search.certified}
+    assert len(found) == 30
     assert straight <= search
     assert 5 < len(straight) < len(search)  # the set has fields of both kinds
     assert len(search) >= 25
-    assert not dearer
+    for c in found:
+        if c.straight.certified:
+            assert c.search.cost <= 1.05 * c.straight.cost, c
