@@ -12,7 +12,12 @@ from typing import Any, ClassVar
 from diagrams.closed_loop import Log, Simulate
 from dtmpc_drake.planning import Iteration, PlanningResult, plan
 from dtmpc_drake.scenario import Scenario
-from dtmpc_drake.visualization import plot_histories, plot_plan, write_replay
+from dtmpc_drake.visualization import (
+    plot_candidates,
+    plot_histories,
+    plot_plan,
+    write_replay,
+)
 from dtmpc_drake.visualization.style import ColorBy
 
 OUTPUTS = (
@@ -25,6 +30,8 @@ OUTPUTS = (
 )
 ATTEMPT = "attempt.png"
 """The figure of a plan that is not certified."""
+CANDIDATES = "candidates.png"
+"""The figure of a search for the best sides, if there was one."""
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -63,6 +70,9 @@ class Experiment:
             f" ({len(result.history)} iterations on {result.backend},"
             f" certificate {result.times['certify']:.3f} s)",
         ]
+        if result.candidates:
+            table = result.candidates_table().splitlines()
+            lines += ["", "candidates", *(f"  {row}" for row in table), ""]
         if self.log is None:
             lines.append("simulation      none: there is no certified plan to fly")
         else:
@@ -90,7 +100,8 @@ def run(
 ) -> Experiment:
     """Plans, simulates if the plan is certified, and writes everything.
 
-    A certified plan gives all of `OUTPUTS`.  Any other gives ``summary.json``
+    A certified plan gives all of `OUTPUTS`, and `CANDIDATES` after a search for the
+    best sides.  Any other gives ``summary.json``
     and a figure of the attempt; outputs of an earlier run are removed, so that
     a directory never mixes two.
 
@@ -106,7 +117,7 @@ def run(
     scenario.validate()
     out = Path("out", scenario.name) if out is None else Path(out)
     out.mkdir(parents=True, exist_ok=True)
-    for name in (*OUTPUTS, ATTEMPT):
+    for name in (*OUTPUTS, ATTEMPT, CANDIDATES):
         (out / name).unlink(missing_ok=True)
     result = plan(scenario, report=report)
     log = None
@@ -149,6 +160,11 @@ def run(
                 scenario=scenario, plan=result.attempt, color_by=color_by
             ).savefig(files[-1])
         files.append(out / OUTPUTS[-1])
+    if result.candidates and result.attempt and result.attempt.num_outputs > 1:
+        plot_candidates(
+            scenario=scenario, plan=result.attempt, candidates=result.candidates
+        ).savefig(out / CANDIDATES)
+        files.insert(-1, out / CANDIDATES)
     summary = json.dumps(
         summarize(scenario, result, log), indent=2, ensure_ascii=False, allow_nan=False
     )
@@ -177,6 +193,19 @@ def summarize(
         "iterations": len(result.history),
         "plan_time_s": result.times["total"],
         "times": result.times,
+        "candidates": [
+            {
+                "start": c.start,
+                "sides": c.sides,
+                "length": c.length,
+                "coarse_cost": c.coarse_cost,
+                "violation": c.violation,
+                "status": c.status,
+                "cost": c.cost,
+                "chosen": c.chosen,
+            }
+            for c in result.candidates
+        ],
         "extremes": log.extremes() if log is not None else None,
     }
     cleaned: dict[str, Any] = _finite(summary)
@@ -187,6 +216,8 @@ def _finite(value: Any) -> Any:
     """JSON has no infinity and knows no NumPy."""
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
     if isinstance(value, (bool, str)) or value is None:
         return value
     if isinstance(value, int):

@@ -212,6 +212,10 @@ class Planner:
         uncertainty: ``state_dependent``, or ``constant`` for the supremum of Δ
             at the speed limit.
         max_iterations: of the sequential convex program.
+        initial_guess: ``straight_line`` (the paper's), or ``best_side``, which
+            also tries other sides of the obstacles and takes the cheapest plan.
+        time_budget: for ``best_side``, in s.  It buys candidates at fixed prices
+            (see `planning.best_side`), so a plan never depends on the clock.
     """
 
     backend: str = "clarabel"
@@ -220,6 +224,8 @@ class Planner:
     velocity_bound: str = "comparison"
     uncertainty: str = "state_dependent"
     max_iterations: int = 40
+    initial_guess: str = "straight_line"
+    time_budget: float = 2.0
 
 
 @dataclasses.dataclass
@@ -397,6 +403,7 @@ class Scenario:
             "controller.bandwidth.min": (b.min, "rad/s"),
             "controller.bandwidth.rate_max": (b.rate_max, "rad/s²"),
             "simulation.max_step_size": (self.simulation.max_step_size, "s"),
+            "planner.time_budget": (self.planner.time_budget, "s"),
         }
         for i, slope in enumerate(c.slope):
             positive[f"controller.slope[{i}]"] = (slope, "1/s")
@@ -436,6 +443,7 @@ class Scenario:
             "planner.tube_margin": ("norm", "support"),
             "planner.velocity_bound": ("comparison", "paper"),
             "planner.uncertainty": ("state_dependent", "constant"),
+            "planner.initial_guess": ("straight_line", "best_side"),
             "simulation.integration_scheme": _integration_schemes(),
         }
         for field, allowed in choices.items():

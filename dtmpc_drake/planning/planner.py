@@ -12,6 +12,11 @@ import numpy as np
 from dtmpc_drake.models import Array
 from dtmpc_drake.plan import Plan
 from dtmpc_drake.planning import splines
+from dtmpc_drake.planning.best_side import (
+    Candidate,
+    candidates_table,
+    plan_best_side,
+)
 from dtmpc_drake.planning.certificate import Certificate, certify
 from dtmpc_drake.planning.nlp import solve_nlp
 from dtmpc_drake.planning.problem import Problem
@@ -70,6 +75,8 @@ class PlanningResult:
         times: ``update``, ``solve``, ``evaluate``, ``certify`` and ``total``, s.
         backend: that solved it.
         problem: that was solved.
+        candidates: of the search for the best sides, the best first; empty
+            without a search.
     """
 
     status: Status
@@ -82,6 +89,7 @@ class PlanningResult:
     times: dict[str, float]
     backend: str
     problem: Problem
+    candidates: tuple[Candidate, ...] = ()
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
@@ -93,6 +101,10 @@ class PlanningResult:
     def table(self) -> str:
         """The history as text."""
         return "\n".join([table_header(), *map(table_row, self.history)])
+
+    def candidates_table(self) -> str:
+        """The candidates of the search as text, with a star at the chosen one."""
+        return candidates_table(self.candidates)
 
     def __repr__(self) -> str:
         """Status, cost, time and the message."""
@@ -151,7 +163,17 @@ def plan_problem(
     report: Callable[[Iteration], None] | None = None,
     warm_start: Plan | None = None,
 ) -> PlanningResult:
-    """Plans any problem, such as one that starts on the way; see `plan`."""
+    """Plans any problem, such as one that starts on the way; see `plan`.
+
+    With ``initial_guess: best_side`` a certified plan from `warm_start` is kept
+    unless another side is clearly cheaper; see `best_side`.
+    """
+    if settings.initial_guess == "best_side":
+        best = plan_best_side(problem, settings, plan_problem, warm_start=warm_start)
+        if report is not None:
+            for iteration in best.history:
+                report(iteration)
+        return best
     start = time.perf_counter()
     history: list[Iteration] = []
 

@@ -15,7 +15,12 @@ from collections.abc import Callable
 
 import numpy as np
 import scipy.sparse as sp
-from pydrake.solvers import ClarabelSolver, MathematicalProgram, SolverOptions
+from pydrake.solvers import (
+    ClarabelSolver,
+    MathematicalProgram,
+    SolveInParallel,
+    SolverOptions,
+)
 
 from dtmpc_drake.models import Array, bends, jacobian
 from dtmpc_drake.planning.sensitivity import kinks, transitions
@@ -182,7 +187,6 @@ class Program:
             "tol_feas": accuracy / 50,
         }.items():
             self._options.SetOption(ClarabelSolver.id(), name, value)
-        self._solver = ClarabelSolver()
 
     def update(
         self, iterate: Iterate, penalty: float, proximity: float, secant: float
@@ -539,7 +543,12 @@ class Program:
         status = ""
         # Fast options first; Clarabel's own where they are not good enough.
         for options in (self._options, None):
-            result = self._solver.Solve(self.program, None, options)
+            # As a batch of one it lets other threads run, which `Solve` does not.
+            (result,) = SolveInParallel(
+                progs=[self.program],
+                solver_options=options,
+                solver_id=ClarabelSolver.id(),
+            )
             status = str(result.get_solver_details().status)
             # A step of almost solved programs is still checked by the merit.
             if status in ("Solved", "AlmostSolved"):

@@ -201,18 +201,32 @@ class Transcription:
         alpha = np.broadcast_to(self.bandwidth_high, (self.intervals + 1, self.outputs))
         return self.with_ends(line), self.feasible_bandwidth(alpha)
 
+    def along(self, points: Array) -> tuple[Array, Array]:
+        """At constant speed along a path, at the highest bandwidth.
+
+        Args:
+            points: evenly spaced from start to goal, ``(any number, m)``.
+        """
+        share = np.linspace(0, 1, 2 * self.intervals + 1)
+        given = np.linspace(0, 1, len(points))
+        wanted = np.stack([np.interp(share, given, x) for x in points.T], axis=1)
+        alpha = np.broadcast_to(self.bandwidth_high, (self.intervals + 1, self.outputs))
+        return self._nearest(wanted), self.feasible_bandwidth(alpha)
+
     def from_plan(self, plan: Plan) -> tuple[Array, Array]:
         """The decisions nearest to an earlier plan, from now to its end."""
         grid = self.knots[0] + self.step * np.arange(2 * self.intervals + 1) / 2
-        wanted = plan.reference(grid)[:, 0]
+        alpha = self.feasible_bandwidth(plan.bandwidth(self.knots))
+        return self._nearest(plan.reference(grid)[:, 0]), alpha
+
+    def _nearest(self, wanted: Array) -> Array:
+        """The spline nearest to values at all knots and midpoints, with its ends."""
         operator = splines.midpoint_operator(self.intervals, self.degree)
         coefficients = scipy.sparse.linalg.spsolve(
             (operator.T @ operator).tocsc(), operator.T @ wanted
         )
         shape = (self.intervals + self.degree, self.outputs)
-        coefficients = np.asarray(coefficients).reshape(shape)
-        alpha = self.feasible_bandwidth(plan.bandwidth(self.knots))
-        return self.with_ends(coefficients), alpha
+        return self.with_ends(np.asarray(coefficients).reshape(shape))
 
     def with_ends(self, coefficients: Array) -> Array:
         """The nearest spline that meets both end states.

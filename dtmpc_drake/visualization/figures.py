@@ -94,7 +94,7 @@ def plot_plan(
 
 
 @dataclasses.dataclass(frozen=True)
-class _View:
+class View:
     """What a look from above shows, in any window.
 
     Attributes:
@@ -115,6 +115,25 @@ class _View:
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
+    @classmethod
+    def from_above(
+        cls, scenario: Scenario, plan: Plan, flights: FloatArray, color_by: ColorBy
+    ) -> View:
+        """The longer of the first two outputs goes to the right."""
+        samples = plan.sample(_PERIOD)
+        position, tube = samples["position"], samples["position_tube"]
+        along_y = np.ptp(position[:, 1]) >= np.ptp(position[:, 0])
+        order = (1, 0) if along_y else (0, 1)
+        columns = list(order)
+        return cls(
+            order=order,
+            center=position[:, columns],
+            half=tube[:, columns],
+            flights=flights[..., columns],
+            obstacles=obstacle_sections(scenario.obstacle_set(), position, tube),
+            coloring=Coloring.along(plan, samples["time"], color_by),
+        )
+
     def window(self) -> tuple[FloatArray, FloatArray]:
         """Corners that hold the tube and the obstacles beside it."""
         low = (self.center - self.half).min(axis=0)
@@ -132,9 +151,15 @@ class _View:
         return low - margin, high + margin
 
     def draw(
-        self, axes: Axes, low: FloatArray, high: FloatArray, line_width: float
+        self,
+        axes: Axes,
+        low: FloatArray,
+        high: FloatArray,
+        line_width: float,
+        *,
+        colored: bool = True,
     ) -> None:
-        """Draws the part between two corners."""
+        """Draws the part between two corners; the reference in colours or black."""
         order = list(self.order)
         for section, silhouette in self.obstacles:
             outline = silhouette.outline()[:, order]
@@ -163,7 +188,10 @@ class _View:
                 alpha=0.5 if many else 1.0,
                 zorder=5,
             )
-        _colored_line(axes, self.center, self.coloring, line_width)
+        if colored:
+            _colored_line(axes, self.center, self.coloring, line_width)
+        else:
+            axes.plot(*self.center.T, color=BLACK, lw=line_width, zorder=4)
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])
         axes.set_aspect("equal")
@@ -179,18 +207,8 @@ def _plot_from_above(
 ) -> Figure:
     samples = plan.sample(_PERIOD)
     position, tube = samples["position"], samples["position_tube"]
-    along_y = np.ptp(position[:, 1]) >= np.ptp(position[:, 0])
-    order = (1, 0) if along_y else (0, 1)
-    columns = list(order)
     obstacles = scenario.obstacle_set()
-    view = _View(
-        order=order,
-        center=position[:, columns],
-        half=tube[:, columns],
-        flights=flights[..., columns],
-        obstacles=obstacle_sections(obstacles, position, tube),
-        coloring=Coloring.along(plan, samples["time"], color_by),
-    )
+    view = View.from_above(scenario, plan, flights, color_by)
     low, high = view.window()
     width, height = high - low
     # Insets pay where the tube is thin beside the whole picture.
