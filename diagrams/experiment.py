@@ -111,9 +111,7 @@ def run(
     result = plan(scenario, report=report)
     log = None
     files = []
-    # With a fixed bandwidth its colour would say nothing.
-    fixed = scenario.controller.bandwidth.fixed is not None
-    color_by: ColorBy = "speed" if fixed else "bandwidth"
+    color_by = color_of(scenario)
     if result.certified and result.plan is not None:
         log = Simulate(scenario, plan=result.plan)
         files += [out / name for name in OUTPUTS]
@@ -149,11 +147,13 @@ def run(
                 scenario=scenario, plan=result.attempt, color_by=color_by
             ).savefig(files[-1])
         files.append(out / OUTPUTS[-1])
-    summary = json.dumps(
-        summarize(scenario, result, log), indent=2, ensure_ascii=False, allow_nan=False
-    )
-    files[-1].write_text(summary + "\n", encoding="utf-8")
+    write_json(files[-1], summarize(scenario, result, log))
     return Experiment(scenario, result, log, tuple(files))
+
+
+def color_of(scenario: Scenario) -> ColorBy:
+    """What the colours of a plan show: a fixed bandwidth's would say nothing."""
+    return "bandwidth" if scenario.controller.bandwidth.fixed is None else "speed"
 
 
 def summarize(
@@ -183,10 +183,22 @@ def summarize(
     return cleaned
 
 
+def write_json(path: Path, value: Any) -> None:
+    """Writes plain numbers and texts; what is not finite becomes null.
+
+    Raises:
+        OSError: if the file cannot be written.
+    """
+    text = json.dumps(_finite(value), indent=2, ensure_ascii=False, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
 def _finite(value: Any) -> Any:
     """JSON has no infinity and knows no NumPy."""
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
     if isinstance(value, (bool, str)) or value is None:
         return value
     if isinstance(value, int):
