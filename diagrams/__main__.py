@@ -1,17 +1,27 @@
 """The command line: ``python -m diagrams simulate known_environment``.
 
 Exit status: 0 certified and simulated, 2 bad input (one line on the standard
-error), 3 infeasible or not certified.
+error), 3 infeasible or not certified, or a certified plan that failed in flight.
 """
 
 from __future__ import annotations
 
+import contextlib
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
 from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from dtmpc_drake.scenario import (
     SHIPPED,
@@ -22,6 +32,8 @@ from dtmpc_drake.scenario import (
 )
 
 BAD_INPUT, NOT_CERTIFIED = 2, 3
+OPTIONS = ("seed", "trials", "batch-size", "disturbance", "scheduler")
+"""Fields of a ScenarioError that are options and no part of a file."""
 
 app = typer.Typer(
     help="Dynamic tube MPC: plan a trajectory with its tube, and fly it.",
@@ -35,6 +47,22 @@ ScenarioArgument = Annotated[
     str, typer.Argument(help="Name of a shipped scenario, or a YAML file.")
 ]
 
+SeedOption = Annotated[
+    str | None,
+    typer.Option(metavar="N", help="Of everything random, instead of the file's."),
+]
+TrialsOption = Annotated[
+    str, typer.Option(metavar="N", help="Flights through each disturbance.")
+]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Of a running Dask scheduler, such as tcp://127.0.0.1:8786, instead of "
+        "one worker a core.",
+    ),
+]
+
 
 @app.command()
 def simulate(
@@ -43,10 +71,7 @@ def simulate(
         Path | None,
         typer.Option(help="Directory for the files.  [default: out/<name>]"),
     ] = None,
-    seed: Annotated[
-        str | None,
-        typer.Option(metavar="N", help="Of everything random, instead of the file's."),
-    ] = None,
+    seed: SeedOption = None,
     backend: Annotated[
         str | None,
         typer.Option(metavar="clarabel|ipopt", help="Solver, instead of the file's."),
@@ -62,20 +87,70 @@ def simulate(
     def report(iteration: Iteration) -> None:
         console.print(table_row(iteration), markup=False)
 
-    try:
+    with _input_errors(out):
         chosen = _with_options(load_scenario(scenario), seed=seed, backend=backend)
         console.print(repr(chosen), markup=False)
         console.print(table_header(), style="bold", markup=False)
         experiment = run(chosen, out, report=report)
-    except ScenarioError as error:
-        _refuse(str(error))
-    except OSError as error:
-        reason = error.strerror or type(error).__name__
-        where = error.filename or out
-        _refuse(f"--out: got {str(where)!r}, but it must be writable ({reason})")
     console.print()
     console.print(repr(experiment), markup=False)
     if not experiment.result.certified:
+        raise typer.Exit(NOT_CERTIFIED)
+
+
+@app.command("monte-carlo")
+def monte_carlo(
+    scenario: ScenarioArgument,
+    trials: TrialsOption = "1000",
+    disturbance: Annotated[
+        str,
+        typer.Option(
+            metavar="KIND",
+            help="uniform, bang_bang, worst_case, wind, all of these, or scenario.",
+        ),
+    ] = "all",
+    seed: SeedOption = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Directory for the files.  [default: out/<name>_monte_carlo]"
+        ),
+    ] = None,
+    scheduler: SchedulerOption = None,
+    batch_size: Annotated[
+        str, typer.Option(metavar="N", help="Trials in one diagram.")
+    ] = "250",
+) -> None:
+    """Plan a scenario once and fly the plan many times.
+
+    Exits with 0 if the plan is certified and no trial left its tube or hit
+    anything, else with 3.
+    """
+    from diagrams import monte_carlo as experiment
+
+    console = Console(highlight=False, soft_wrap=True)
+    with _input_errors(out):
+        chosen = _with_options(load_scenario(scenario), seed=seed, backend=None)
+        console.print(repr(chosen), markup=False)
+        with _progress(console) as progress:
+            task = progress.add_task("trials", total=None)
+
+            def start(total: int) -> None:
+                progress.update(task, total=total)
+
+            ended = experiment.run(
+                chosen,
+                out,
+                trials=_whole("trials", trials),
+                disturbance=disturbance,
+                batch_size=_whole("batch-size", batch_size),
+                scheduler=scheduler,
+                start=start,
+                done=lambda batch: progress.advance(task, len(batch.numbers)),
+            )
+    console.print()
+    console.print(repr(ended), markup=False)
+    if not ended.safe:
         raise typer.Exit(NOT_CERTIFIED)
 
 
@@ -118,14 +193,18 @@ def _with_options(
 ) -> Scenario:
     """The scenario with what the command line replaces, validated again."""
     if seed is not None:
-        try:
-            scenario.simulation.seed = int(seed)
-        except ValueError:
-            raise ScenarioError("--seed", seed, "a whole number") from None
+        scenario.simulation.seed = _whole("seed", seed)
     if backend is not None:
         scenario.planner.backend = backend
     scenario.validate()
     return scenario
+
+
+def _whole(option: str, value: str) -> int:
+    try:
+        return int(value)
+    except ValueError:
+        raise ScenarioError(option, value, "a whole number") from None
 
 
 def _text(name: str) -> str:
@@ -140,6 +219,31 @@ def _description(name: str) -> str:
             break
         lines.append(line.removeprefix("#").strip())
     return " ".join(lines)
+
+
+@contextlib.contextmanager
+def _input_errors(out: Path | None) -> Iterator[None]:
+    """Ends with one line if a scenario, an option or the directory is bad."""
+    try:
+        yield
+    except ScenarioError as error:
+        option = "--" if error.field in OPTIONS else ""
+        _refuse(f"{option}{error}")
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        where = error.filename or out
+        _refuse(f"--out: got {str(where)!r}, but it must be writable ({reason})")
+
+
+def _progress(console: Console) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+    )
 
 
 def _refuse(message: str) -> NoReturn:

@@ -10,24 +10,27 @@ This is the one place where the wiring is written.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
 from diagrams.live_view import LiveView
 from dtmpc_drake.models import Array
+from dtmpc_drake.monte_carlo import Trial
 from dtmpc_drake.plan import Plan
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.systems import (
     DtmpcPlanner,
     MakeDisturbance,
     Plant,
+    SeedTrials,
     SlidingModeTracker,
     TubeMonitor,
 )
@@ -42,10 +45,15 @@ _LOGGED = (
     "tube_ratios",
     "clearance",
 )
+_OF_EACH_TRIAL = [name for name in _LOGGED if name != "reference"]
 
 
 def MakeClosedLoop(
-    scenario: Scenario, *, plan: Plan | None = None, meshcat: Meshcat | None = None
+    scenario: Scenario,
+    *,
+    plan: Plan | None = None,
+    trials: Sequence[Trial] | None = None,
+    meshcat: Meshcat | None = None,
 ) -> Diagram:
     """The diagram of a scenario.
 
@@ -53,31 +61,52 @@ def MakeClosedLoop(
         scenario: the whole experiment; the diagram's default Context is its
             start (apart from randomness, which `SetRandomContext` seeds).
         plan: to fly instead of planning at the start.
-        meshcat: to watch the simulation in, if given.
+        trials: to fly a plan many times side by side, each with its own true
+            parameters; `state`, `control`, `disturbance`, `tube_ratios` and
+            `clearance` then have one more axis in front.
+        meshcat: to watch the simulation of a single flight in, if given.
 
     Returns:
         A diagram named ``closed_loop`` that exports the output ports `state`,
         `control`, `reference`, `plan`, `status`, `disturbance`, `tube_ratios`
         and `clearance`; see the systems for their meaning.
+
+    Raises:
+        ValueError: if trials come without a plan or with a Meshcat.
     """
     model = scenario.model
+    parameters: dict[str, Any] = dict(scenario.plant_parameters())
+    count = None
+    if trials is not None:
+        if plan is None or meshcat is not None:
+            raise ValueError("trials: they fly a given plan, and are not shown")
+        count = len(trials)
+        for name in parameters:
+            parameters[name] = [trial.parameters[name] for trial in trials]
     builder = DiagramBuilder()
     plant = builder.AddNamedSystem(
         "plant",
         Plant(
             model=model,
-            parameters=scenario.plant_parameters(),
+            parameters=parameters,
             initial_state=scenario.start_state() + scenario.initial_error_state(),
+            trials=count,
         ),
     )
     planner = builder.AddNamedSystem(
         "planner", DtmpcPlanner(scenario=scenario, plan=plan)
     )
-    tracker = builder.AddNamedSystem("tracker", SlidingModeTracker(scenario=scenario))
+    tracker = builder.AddNamedSystem(
+        "tracker", SlidingModeTracker(scenario=scenario, trials=count)
+    )
     disturbance = builder.AddNamedSystem(
         "disturbance",
         MakeDisturbance(
-            scenario.disturbance, slope=scenario.slope(), order=model.order
+            scenario.disturbance,
+            slope=scenario.slope(),
+            order=model.order,
+            trials=count,
+            duration=scenario.duration,
         ),
     )
     outputs = {
@@ -93,11 +122,13 @@ def MakeClosedLoop(
         scenario=scenario,
         state=outputs["state"],
         plan=outputs["plan"],
+        trials=count,
     )
     for name in ("tube_ratios", "clearance"):
         outputs[name] = monitor.GetOutputPort(name)
 
-    builder.Connect(outputs["state"], planner.GetInputPort("state"))
+    if trials is None:
+        builder.Connect(outputs["state"], planner.GetInputPort("state"))
     builder.Connect(outputs["state"], tracker.GetInputPort("state"))
     builder.Connect(outputs["plan"], tracker.GetInputPort("plan"))
     builder.Connect(outputs["control"], plant.GetInputPort("control"))
@@ -120,6 +151,9 @@ def MakeClosedLoop(
 @dataclasses.dataclass(frozen=True, repr=False)
 class Log:
     """What the exported ports said, every `LOG_PERIOD` and at the end.
+
+    The log of many trials has an axis for them after the time, except in
+    `reference`, which they share.
 
     Attributes:
         time: ``(K,)``, in s.
@@ -147,7 +181,12 @@ class Log:
     @property
     def position(self) -> Array:
         """Where the plant was, ``(K, m)``."""
-        return np.asarray(self.state[:, 0])
+        return np.asarray(self.state[..., 0, :])
+
+    def trial(self, row: int) -> Log:
+        """The log of one of many trials."""
+        own = {name: getattr(self, name)[:, row] for name in _OF_EACH_TRIAL}
+        return dataclasses.replace(self, **own)
 
     def extremes(self) -> dict[str, float]:
         """The worst that was seen, by name.
@@ -156,16 +195,16 @@ class Log:
         is taken from differences of the position where it is no state (n = 1).
         """
         if self.state.shape[1] > 1:
-            speed = self.state[:, 1]
+            speed = self.state[..., 1, :]
         else:
-            speed = np.diff(self.position, axis=0) / np.diff(self.time)[:, None]
-        worst = self.tube_ratios.max(axis=(0, 2))
+            speed = np.diff(self.position, axis=0).T / np.diff(self.time)
+        worst = self.tube_ratios.max(axis=-1).reshape(-1, 3).max(axis=0)
         return {
             "worst_layer_ratio": float(worst[0]),
             "worst_position_ratio": float(worst[1]),
             "worst_velocity_ratio": float(worst[2]),
             "smallest_clearance": float(self.clearance.min()),
-            "largest_input": float(np.linalg.norm(self.control, axis=1).max()),
+            "largest_input": float(np.linalg.norm(self.control, axis=-1).max()),
             "largest_speed": float(np.abs(speed).max()),
         }
 
@@ -215,8 +254,56 @@ def Simulate(scenario: Scenario, *, plan: Plan | None = None) -> Log:
         The log.  If no certified plan was found, its status says why, and what
         was flown is `hold_plan`.
     """
+    loop = MakeClosedLoop(scenario, plan=plan)
+
+    def seed(context: Context) -> None:
+        generator = RandomGenerator(scenario.simulation.seed)
+        loop.SetRandomContext(loop.GetMyMutableContextFromRoot(context), generator)
+
+    return _run(scenario, loop, seed=seed, lead=())
+
+
+def SimulateTrials(scenario: Scenario, *, plan: Plan, trials: Sequence[Trial]) -> Log:
+    """Simulates many trials of a scenario side by side, in one diagram.
+
+    Each flies as ``Simulate(trial.scenario(scenario), plan=plan)`` does, to the
+    last bit, whatever else is in the batch.
+
+    Args:
+        scenario: the whole experiment; the trials replace its seed and its
+            plant's parameters.
+        plan: to fly.
+        trials: at least one.
+
+    Returns:
+        One log of them all.
+    """
+    loop = MakeClosedLoop(scenario, plan=plan, trials=trials)
+
+    def seed(context: Context) -> None:
+        disturbance = loop.GetSubsystemByName("disturbance")
+        SeedTrials(disturbance, context, [trial.seed for trial in trials])
+
+    return _run(scenario, loop, seed=seed, lead=(len(trials),))
+
+
+def _run(
+    scenario: Scenario,
+    loop: Diagram,
+    *,
+    seed: Callable[[Context], None],
+    lead: tuple[int, ...],
+) -> Log:
+    """Simulates a closed loop to its end.
+
+    Args:
+        scenario: gives the integrator and the end.
+        loop: from `MakeClosedLoop`.
+        seed: sets everything random in the root Context.
+        lead: ``()``, or ``(trials,)``.
+    """
     builder = DiagramBuilder()
-    loop = builder.AddSystem(MakeClosedLoop(scenario, plan=plan))
+    builder.AddSystem(loop)
     sinks = {
         name: LogVectorOutput(loop.GetOutputPort(name), builder, LOG_PERIOD)
         for name in _LOGGED
@@ -224,11 +311,13 @@ def Simulate(scenario: Scenario, *, plan: Plan | None = None) -> Log:
     diagram = builder.Build()
     diagram.set_name("simulation")
     context = diagram.CreateDefaultContext()
-    diagram.SetRandomContext(context, RandomGenerator(scenario.simulation.seed))
+    seed(context)
     simulator = Simulator(diagram, context)
     config = SimulatorConfig(
         integration_scheme=scenario.simulation.integration_scheme,
         max_step_size=scenario.simulation.max_step_size,
+        # A step that depends on the error would tie each trial to all others.
+        use_error_control=False,
     )
     ApplySimulatorConfig(config, simulator)
     simulator.Initialize()
@@ -238,11 +327,16 @@ def Simulate(scenario: Scenario, *, plan: Plan | None = None) -> Log:
         diagram.ForcedPublish(context)  # the end is no multiple of the period
 
     n, m = scenario.model.order, scenario.model.num_outputs
-    shapes = {"state": (n, m), "reference": (n + 1, m), "tube_ratios": (3, m)}
+    shapes = {
+        "state": (*lead, n, m),
+        "reference": (n + 1, m),
+        "tube_ratios": (*lead, 3, m),
+    }
     arrays = {}
     for name, log in logs.items():
         data = log.data().T.copy()
-        arrays[name] = data.reshape(len(data), *shapes.get(name, data.shape[1:]))
+        shape = shapes.get(name, (*lead, -1))
+        arrays[name] = data.reshape(len(data), *shape)
     return Log(
         time=logs["state"].sample_times().copy(),
         status=loop.GetOutputPort("status").Eval(loop.GetMyContextFromRoot(context)),

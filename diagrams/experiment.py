@@ -122,9 +122,7 @@ def run(
     result = plan(scenario, report=report)
     log = None
     files = []
-    # With a fixed bandwidth its colour would say nothing.
-    fixed = scenario.controller.bandwidth.fixed is not None
-    color_by: ColorBy = "speed" if fixed else "bandwidth"
+    color_by = color_of(scenario)
     if result.certified and result.plan is not None:
         log = Simulate(scenario, plan=result.plan)
         files += [out / name for name in OUTPUTS]
@@ -165,11 +163,13 @@ def run(
             scenario=scenario, plan=result.attempt, candidates=result.candidates
         ).savefig(out / CANDIDATES)
         files.insert(-1, out / CANDIDATES)
-    summary = json.dumps(
-        summarize(scenario, result, log), indent=2, ensure_ascii=False, allow_nan=False
-    )
-    files[-1].write_text(summary + "\n", encoding="utf-8")
+    write_json(files[-1], summarize(scenario, result, log))
     return Experiment(scenario, result, log, tuple(files))
+
+
+def color_of(scenario: Scenario) -> ColorBy:
+    """What the colours of a plan show: a fixed bandwidth's would say nothing."""
+    return "bandwidth" if scenario.controller.bandwidth.fixed is None else "speed"
 
 
 def summarize(
@@ -210,6 +210,16 @@ def summarize(
     }
     cleaned: dict[str, Any] = _finite(summary)
     return cleaned
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Writes plain numbers and texts; what is not finite becomes null.
+
+    Raises:
+        OSError: if the file cannot be written.
+    """
+    text = json.dumps(_finite(value), indent=2, ensure_ascii=False, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")
 
 
 def _finite(value: Any) -> Any:

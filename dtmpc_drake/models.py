@@ -196,6 +196,9 @@ class Model(abc.ABC):
         """B(x), shape ``(..., m, m)``."""
         inverse = self.inverse_input_matrix(x)
         if inverse.dtype != object:
+            if not any(inverse.strides[:-2]):  # one matrix, broadcast over the batch
+                one = inverse[(0,) * (inverse.ndim - 2)]
+                return np.broadcast_to(np.linalg.inv(one), inverse.shape)
             return np.asarray(np.linalg.inv(inverse))
         flat = inverse.reshape(-1, *inverse.shape[-2:])
         return np.array([drake_inv(B) for B in flat]).reshape(inverse.shape)

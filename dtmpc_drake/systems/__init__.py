@@ -1,11 +1,12 @@
 """Drake systems of the closed loop: thin shells around the pure functions."""
 
-from dtmpc_drake.systems.disturbance import MakeDisturbance
+from dtmpc_drake.systems.disturbance import MakeDisturbance, SeedTrials
 from dtmpc_drake.systems.dtmpc_planner import DtmpcPlanner, hold_plan
 from dtmpc_drake.systems.plant import Plant, Plant_
 from dtmpc_drake.systems.relay import Relay
 from dtmpc_drake.systems.sliding_error import SlidingError
 from dtmpc_drake.systems.tracker import SlidingModeTracker, SlidingModeTracker_
+from dtmpc_drake.systems.trial_noise import TrialNoise
 from dtmpc_drake.systems.tube_monitor import TubeMonitor, tube_ratios
 
 __all__ = [
@@ -14,9 +15,11 @@ __all__ = [
     "Plant",
     "Plant_",
     "Relay",
+    "SeedTrials",
     "SlidingError",
     "SlidingModeTracker",
     "SlidingModeTracker_",
+    "TrialNoise",
     "TubeMonitor",
     "hold_plan",
     "tube_ratios",

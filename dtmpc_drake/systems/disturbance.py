@@ -2,20 +2,24 @@
 
 Whatever is random comes from Drake's `RandomSource`: it belongs to the Context,
 so ``diagram.SetRandomContext(context, RandomGenerator(seed))`` decides it all.
+A batch of trials draws the same numbers from one seed a trial (`SeedTrials`), and
+what shapes them works on every element alone: a trial of a batch is pushed
+exactly as it would be alone.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 from pydrake.common import RandomDistribution
-from pydrake.systems.framework import Diagram, DiagramBuilder, System
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
 from pydrake.systems.primitives import (
-    AffineSystem,
+    Adder,
     ConstantVectorSource,
     FirstOrderLowPassFilter,
-    MatrixGain,
+    Gain,
     RandomSource,
     Saturation,
 )
@@ -30,79 +34,112 @@ from dtmpc_drake.scenario import (
 )
 from dtmpc_drake.systems.relay import Relay
 from dtmpc_drake.systems.sliding_error import SlidingError
+from dtmpc_drake.systems.trial_noise import TrialNoise
 
 _SAMPLES_PER_CORRELATION_TIME = 10
 _SHORTEST_SAMPLE = 0.005  # of the wind's white noise, in s
 
 
-def MakeDisturbance(config: Disturbance, *, slope: Array, order: int) -> Diagram:
+def MakeDisturbance(
+    config: Disturbance,
+    *,
+    slope: Array,
+    order: int,
+    trials: int | None = None,
+    duration: float = 0.0,
+) -> Diagram:
     """The disturbance that a scenario describes.
 
     Args:
         config: one of the scenario's disturbances.
         slope: λ, ``(m,)``, for the worst case.
         order: n, for the worst case.
+        trials: how many plants to push; one, without the axis, if left out.
+        duration: how long to push many plants, in s; one is pushed for ever.
 
     Returns:
         A diagram named ``disturbance`` with one output port `disturbance`,
-        ``(m,)``.  `WorstCase` also has the input ports `state` and
-        `reference`, as the plant and the tracker give them; the others need
-        nothing.
+        ``(m,)`` or the flattened ``(trials, m)``.  `WorstCase` also has the
+        input ports `state` and `reference`, as the plant and the tracker give
+        them; the others need nothing.
     """
-    stages = _stages(config, slope=slope, order=order)
     builder = DiagramBuilder()
-    for stage in stages:
-        builder.AddSystem(stage)
-    for upstream, downstream in pairwise(stages):
-        builder.Connect(upstream.get_output_port(), downstream.get_input_port())
-    for i in range(stages[0].num_input_ports()):
-        port = stages[0].get_input_port(i)
-        builder.ExportInput(port, port.get_name())
-    builder.ExportOutput(stages[-1].get_output_port(), "disturbance")
-    diagram = builder.Build()
-    diagram.set_name("disturbance")
-    return diagram
 
+    def noise(distribution: RandomDistribution, hold: float) -> System:
+        m = len(config.bound)
+        if trials is None:
+            return builder.AddNamedSystem("noise", RandomSource(distribution, m, hold))
+        return builder.AddNamedSystem(
+            "noise",
+            TrialNoise(
+                distribution=distribution,
+                num_outputs=m,
+                hold=hold,
+                trials=trials,
+                duration=duration,
+            ),
+        )
 
-def _stages(config: Disturbance, *, slope: Array, order: int) -> list[System]:
-    """The systems that make a disturbance, each fed by the one before it."""
-    bound = np.asarray(config.bound, dtype=float)
-    m = len(bound)
+    count = 1 if trials is None else trials
+    bound = np.tile(np.asarray(config.bound, dtype=float), count)
     if isinstance(config, Constant):
-        return [ConstantVectorSource(config.fraction * bound)]
-    if isinstance(config, UniformHold):
+        pushes = builder.AddSystem(ConstantVectorSource(config.fraction * bound))
+    elif isinstance(config, UniformHold):
         # Uniform on [0, 1), stretched to [-D, D).
-        uniform = RandomDistribution.kUniform
-        return [RandomSource(uniform, m, config.hold), _affine(2 * bound, -bound)]
-    gaussian = RandomDistribution.kGaussian
-    if isinstance(config, BangBang):
-        return [RandomSource(gaussian, m, config.hold), Relay(force=bound)]
-    if isinstance(config, ColoredWind):
+        uniform = noise(RandomDistribution.kUniform, config.hold)
+        stretched = _chain(builder, uniform, Gain(k=2 * bound))
+        offset = builder.AddSystem(ConstantVectorSource(-bound))
+        pushes = builder.AddSystem(Adder(num_inputs=2, size=len(bound)))
+        for i, part in enumerate((stretched, offset)):
+            builder.Connect(part.get_output_port(), pushes.get_input_port(i))
+    elif isinstance(config, BangBang):
+        gaussian = noise(RandomDistribution.kGaussian, config.hold)
+        pushes = _chain(builder, gaussian, Relay(force=bound))
+    elif isinstance(config, ColoredWind):
         tau = config.correlation_time
         sample = max(tau / _SAMPLES_PER_CORRELATION_TIME, _SHORTEST_SAMPLE)
         # Held noise w passes the filter as x+ = a x + (1 - a) w: this much of
         # it gives x the deviation that is asked for.
         a = np.exp(-sample / tau)
         deviation = config.intensity * bound * np.sqrt((1 + a) / (1 - a))
-        return [
-            RandomSource(gaussian, m, sample),
-            MatrixGain(D=np.diag(deviation)),
-            FirstOrderLowPassFilter(time_constant=tau, size=m),
+        pushes = _chain(
+            builder,
+            noise(RandomDistribution.kGaussian, sample),
+            Gain(k=deviation),
+            FirstOrderLowPassFilter(time_constant=tau, size=len(bound)),
             Saturation(min_value=-bound, max_value=bound),
-        ]
-    # The worst case.  At s = 0 it pushes too: one that waited for an error
-    # would never see any.
-    return [SlidingError(slope=slope, order=order), Relay(force=bound)]
+        )
+    else:
+        # The worst case.  At s = 0 it pushes too: one that waited for an error
+        # would never see any.
+        error = SlidingError(slope=slope, order=order, trials=trials)
+        builder.AddSystem(error)
+        for name in ("state", "reference"):
+            builder.ExportInput(error.GetInputPort(name), name)
+        pushes = _chain(builder, error, Relay(force=bound))
+    builder.ExportOutput(pushes.get_output_port(), "disturbance")
+    diagram = builder.Build()
+    diagram.set_name("disturbance")
+    return diagram
 
 
-def _affine(gain: Array, offset: Array) -> AffineSystem:
-    """Gain and offset of every element."""
-    m = len(gain)
-    return AffineSystem(
-        A=np.zeros((0, 0)),
-        B=np.zeros((0, m)),
-        f0=np.zeros(0),
-        C=np.zeros((m, 0)),
-        D=np.diag(gain),
-        y0=offset,
-    )
+def SeedTrials(disturbance: Diagram, context: Context, seeds: Sequence[int]) -> None:
+    """Gives every trial the noise of a single flight with its seed.
+
+    Args:
+        disturbance: from `MakeDisturbance`; without noise nothing happens.
+        context: the root Context.
+        seeds: one for each trial.
+    """
+    if disturbance.HasSubsystemNamed("noise"):
+        noise = disturbance.GetSubsystemByName("noise")
+        noise.SetSeeds(noise.GetMyMutableContextFromRoot(context), seeds)
+
+
+def _chain(builder: DiagramBuilder, first: System, *others: System) -> System:
+    """Adds systems, each fed by the one before it, and returns the last."""
+    for other in others:
+        builder.AddSystem(other)
+    for upstream, downstream in pairwise((first, *others)):
+        builder.Connect(upstream.get_output_port(), downstream.get_input_port())
+    return others[-1]

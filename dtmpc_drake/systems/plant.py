@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -33,7 +34,9 @@ def _plant_of(T: Any) -> Any:
 
         The state is the flattened ``(n, m)`` array of the models: all outputs
         first, then their first derivatives, and so on.  `control` is u and
-        `disturbance` is d, both ``(m,)``.
+        `disturbance` is d, both ``(m,)``.  With `trials`, as many plants fly
+        side by side: every port is the flattened array with one more axis in
+        front, such as ``(trials, n, m)`` for the state.
 
         The parameters that only the true plant knows (such as its drag) are
         one numeric parameter vector of the Context; see `SetParameters`.  The
@@ -44,17 +47,19 @@ def _plant_of(T: Any) -> Any:
             self,
             *,
             model: Model,
-            parameters: Mapping[str, float] | None = None,
+            parameters: Mapping[str, Any] | None = None,
             initial_state: Array | None = None,
+            trials: int | None = None,
             converter: Any = None,
         ) -> None:
             """Constructs a plant.
 
             Args:
                 model: gives F, B and the names of the parameters.
-                parameters: defaults by name; those left out are at the middle
-                    of what the model allows.
+                parameters: defaults by name, a number or one for each trial;
+                    those left out are at the middle of what the model allows.
                 initial_state: default x(t0), ``(n, m)``; zero if left out.
+                trials: how many plants; one, without the axis, if left out.
                 converter: for scalar conversion, set by Drake.
 
             Raises:
@@ -62,22 +67,25 @@ def _plant_of(T: Any) -> Any:
             """
             LeafSystem_[T].__init__(self, converter=converter)
             self._model = model
-            self._shape = (model.order, model.num_outputs)
+            self._trials = trials
+            self._lead = () if trials is None else (trials,)
+            n, m = model.order, model.num_outputs
+            self._shape = (*self._lead, n, m)
             middle = {
                 name: sum(model.parameter_interval(name)) / 2
                 for name in model.parameter_names
             }
             self._defaults = middle | self._checked(parameters or {})
             if initial_state is None:
-                initial_state = np.zeros(self._shape)
-            self._initial_state = np.asarray(initial_state).reshape(self._shape)
-            self._control = self.DeclareVectorInputPort("control", self._shape[1])
-            self._disturbance = self.DeclareVectorInputPort(
-                "disturbance", self._shape[1]
-            )
-            state = self.DeclareContinuousState(_vector(self._initial_state.ravel()))
+                initial_state = np.zeros((n, m))
+            self._initial_state = np.asarray(initial_state).reshape(n, m)
+            count = math.prod(self._lead)
+            self._control = self.DeclareVectorInputPort("control", count * m)
+            self._disturbance = self.DeclareVectorInputPort("disturbance", count * m)
+            stacked = np.broadcast_to(self._initial_state, self._shape)
+            state = self.DeclareContinuousState(_vector(stacked.ravel()))
             if self._defaults:
-                self.DeclareNumericParameter(_vector(list(self._defaults.values())))
+                self.DeclareNumericParameter(_vector(self._flat(self._defaults)))
             # A state output has no feedthrough, so that loops may close over it.
             self.DeclareStateOutputPort("state", ContinuousStateIndex(state))
 
@@ -87,38 +95,50 @@ def _plant_of(T: Any) -> Any:
                 model=other._model,
                 parameters=other._defaults,
                 initial_state=other._initial_state,
+                trials=other._trials,
                 converter=converter,
             )
 
         def SetParameters(self, context: Any, parameters: Mapping[str, Any]) -> None:
             """Sets true parameters by name in this plant's Context.
 
+            Args:
+                context: of this plant.
+                parameters: a number, or one for each trial.
+
             Raises:
                 KeyError: if the model has no such parameter.
             """
             values = self._parameters(context) | self._checked(parameters)
             context.get_mutable_numeric_parameter(0).SetFromVector(
-                np.array([T(v) for v in values.values()])
+                np.array([T(v) for v in self._flat(values)])
             )
 
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
             """Each row's derivative is the next row, the last one's y^(n)."""
             x = context.get_continuous_state_vector().CopyToVector()
             x = x.reshape(self._shape)
-            u = self._control.Eval(context)
+            B = self._model.input_matrix(x)
+            u = self._control.Eval(context).reshape(*self._lead, 1, -1)
             highest = (
                 self._model.true_drift(x, self._parameters(context))
-                + self._model.input_matrix(x) @ u
-                + self._disturbance.Eval(context)
+                + (B * u).sum(axis=-1)
+                + self._disturbance.Eval(context).reshape(*self._lead, -1)
             )
-            rates = np.concatenate([x[1:], highest[None]])
+            rates = np.concatenate([x[..., 1:, :], highest[..., None, :]], axis=-2)
             derivatives.get_mutable_vector().SetFromVector(rates.ravel())
 
         def _parameters(self, context: Any) -> dict[str, Any]:
             if not self._defaults:
                 return {}
             values = context.get_numeric_parameter(0).CopyToVector()
+            values = values.reshape(len(self._defaults), *self._lead)
             return dict(zip(self._defaults, values, strict=True))
+
+        def _flat(self, parameters: Mapping[str, Any]) -> Array:
+            """All parameters one after the other, each for every trial."""
+            rows = [np.broadcast_to(v, self._lead) for v in parameters.values()]
+            return np.array(rows).ravel()
 
         def _checked(self, parameters: Mapping[str, Any]) -> dict[str, Any]:
             for name in parameters:

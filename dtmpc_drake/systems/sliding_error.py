@@ -24,29 +24,32 @@ class SlidingError(LeafSystem):
 
     `state` is the flattened ``(n, m)`` state and `reference` the flattened
     ``(n + 1, m)`` reference, as from the plant and the tracker; `s` is
-    ``(m,)``.
+    ``(m,)``.  With `trials`, `state` and `s` have one more axis in front.
     """
 
-    def __init__(self, *, slope: Array, order: int) -> None:
+    def __init__(self, *, slope: Array, order: int, trials: int | None = None) -> None:
         """Constructs the system.
 
         Args:
             slope: λ, ``(m,)``.
             order: n.
+            trials: how many plants; one, without the axis, if left out.
         """
         LeafSystem.__init__(self)
-        self._slope, self._shape = slope, (order, len(slope))
-        size = order * len(slope)
-        self._state = self.DeclareVectorInputPort("state", size)
-        self._reference = self.DeclareVectorInputPort("reference", size + len(slope))
+        m, count = len(slope), 1 if trials is None else trials
+        self._slope, self._order = slope, order
+        self._state = self.DeclareVectorInputPort("state", count * order * m)
+        self._reference = self.DeclareVectorInputPort("reference", (order + 1) * m)
         self.DeclareVectorOutputPort(
             "s",
-            len(slope),
+            count * m,
             self._calc_s,
             prerequisites_of_calc={self._state.ticket(), self._reference.ticket()},
         )
 
     def _calc_s(self, context: Any, output: Any) -> None:
-        state = self._state.Eval(context)
-        error = state - self._reference.Eval(context)[: len(state)]
-        output.SetFromVector(sliding_variable(error.reshape(self._shape), self._slope))
+        shape = (-1, self._order, len(self._slope))
+        state = self._state.Eval(context).reshape(shape)
+        reference = self._reference.Eval(context).reshape(-1, len(self._slope))
+        error = state - reference[: self._order]
+        output.SetFromVector(sliding_variable(error, self._slope).ravel())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -43,16 +44,25 @@ def _tracker_of(T: Any) -> Any:
         `state` is the flattened ``(n, m)`` state, `plan` an abstract port that
         holds a `Plan`.  `control` is u, ``(m,)``; `reference` is the flattened
         ``(n + 1, m)`` array of y* and its derivatives at the Context's time.
+        With `trials`, as many plants track the same plan: `state` is
+        ``(trials, n, m)`` and `control` is ``(trials, m)``, both flattened.
 
         The tracker supports double, AutoDiffXd and Expression in the state;
         the Context's time must be a number in each of them.
         """
 
-        def _construct(self, *, scenario: Scenario, converter: Any = None) -> None:
+        def _construct(
+            self,
+            *,
+            scenario: Scenario,
+            trials: int | None = None,
+            converter: Any = None,
+        ) -> None:
             """Constructs a tracker.
 
             Args:
                 scenario: gives the model as the planner sees it, λ, D and η.
+                trials: how many plants; one, without the axis, if left out.
                 converter: for scalar conversion, set by Drake.
             """
             LeafSystem_[T].__init__(self, converter=converter)
@@ -61,9 +71,12 @@ def _tracker_of(T: Any) -> Any:
             self._slope = scenario.slope()
             self._disturbance_bound = scenario.disturbance_bound()
             n, m = self._model.order, self._model.num_outputs
-            self._state = self.DeclareVectorInputPort("state", n * m)
+            self._trials = trials
+            self._shape = (n, m) if trials is None else (trials, n, m)
+            size = math.prod(self._shape)
+            self._state = self.DeclareVectorInputPort("state", size)
             self._plan = DeclarePlanInputPort(self)
-            self.DeclareVectorOutputPort("control", m, self._calc_control)
+            self.DeclareVectorOutputPort("control", size // n, self._calc_control)
             self._reference = self.DeclareVectorOutputPort(
                 "reference",
                 (n + 1) * m,
@@ -73,7 +86,12 @@ def _tracker_of(T: Any) -> Any:
             )
 
         def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            Impl._construct(self, scenario=other._scenario, converter=converter)
+            Impl._construct(
+                self,
+                scenario=other._scenario,
+                trials=other._trials,
+                converter=converter,
+            )
 
         def _calc_reference(self, context: Any, output: Any) -> None:
             plan = EvalPlan(self._plan, context)
@@ -81,12 +99,12 @@ def _tracker_of(T: Any) -> Any:
             output.SetFromVector(np.array([T(v) for v in reference.ravel()]))
 
         def _calc_control(self, context: Any, output: Any) -> None:
-            n, m = self._model.order, self._model.num_outputs
+            n, m = self._shape[-2:]
             plan = EvalPlan(self._plan, context)
             layer, layer_rate = plan.layer(_plain(context.get_time()))
             control = sliding.control(
                 model=self._model,
-                state=self._state.Eval(context).reshape(n, m),
+                state=self._state.Eval(context).reshape(self._shape),
                 reference=self._reference.Eval(context).reshape(n + 1, m),
                 boundary_layer=layer,
                 boundary_layer_rate=layer_rate,
@@ -94,7 +112,7 @@ def _tracker_of(T: Any) -> Any:
                 disturbance_bound=self._disturbance_bound,
                 reaching_rate=self._scenario.controller.reaching_rate,
             )
-            output.SetFromVector(control)
+            output.SetFromVector(control.ravel())
 
     return Impl
 

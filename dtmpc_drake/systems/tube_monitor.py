@@ -60,27 +60,31 @@ class TubeMonitor(LeafSystem):
     `tube_ratios` is the flattened ``(3, m)`` array |s|/Φ, |ỹ|/Ω, |dỹ/dt|/W (see
     the function of that name).  `clearance` has the distance of the plant's
     true position from the surface of each obstacle, in m and negative inside;
-    without obstacles it is one infinity.
+    without obstacles it is one infinity.  With `trials`, `state` and both
+    outputs have one more axis in front.
     """
 
-    def __init__(self, *, scenario: Scenario) -> None:
+    def __init__(self, *, scenario: Scenario, trials: int | None = None) -> None:
         """Constructs a monitor.
 
         Args:
             scenario: gives the obstacles and λ.
+            trials: how many plants; one, without the axis, if left out.
         """
         LeafSystem.__init__(self)
-        self._shape = (scenario.model.order, scenario.model.num_outputs)
+        n, m = scenario.model.order, scenario.model.num_outputs
+        count = 1 if trials is None else trials
+        self._shape = (count, n, m)
         self._slope = scenario.slope()
         self._obstacles = scenario.obstacle_set()
-        self._state = self.DeclareVectorInputPort("state", int(np.prod(self._shape)))
+        self._state = self.DeclareVectorInputPort("state", count * n * m)
         self._plan = DeclarePlanInputPort(self)
         self.DeclareVectorOutputPort(
-            "tube_ratios", 3 * self._shape[1], self._calc_tube_ratios
+            "tube_ratios", count * 3 * m, self._calc_tube_ratios
         )
         self.DeclareVectorOutputPort(
             "clearance",
-            max(len(self._obstacles), 1),
+            count * max(len(self._obstacles), 1),
             self._calc_clearance,
             prerequisites_of_calc={self._state.ticket()},
         )
@@ -92,6 +96,7 @@ class TubeMonitor(LeafSystem):
         scenario: Scenario,
         state: OutputPort,
         plan: OutputPort,
+        trials: int | None = None,
     ) -> TubeMonitor:
         """Adds a monitor to a diagram and connects it.
 
@@ -100,12 +105,13 @@ class TubeMonitor(LeafSystem):
             scenario: as in the constructor.
             state: output port that gives the plant's state.
             plan: output port that gives the plan.
+            trials: as in the constructor.
 
         Returns:
             The monitor, named ``tube_monitor``.
         """
         monitor: TubeMonitor = builder.AddNamedSystem(
-            "tube_monitor", TubeMonitor(scenario=scenario)
+            "tube_monitor", TubeMonitor(scenario=scenario, trials=trials)
         )
         builder.Connect(state, monitor.GetInputPort("state"))
         builder.Connect(plan, monitor.GetInputPort("plan"))
@@ -121,6 +127,8 @@ class TubeMonitor(LeafSystem):
         output.SetFromVector(ratios.ravel())
 
     def _calc_clearance(self, context: Any, output: Any) -> None:
-        position = self._state.Eval(context)[: self._shape[1]]
+        position = self._state.Eval(context).reshape(self._shape)[:, 0]
         clearance = self._obstacles.clearance(position)
-        output.SetFromVector(clearance if len(clearance) else [np.inf])
+        if not len(self._obstacles):
+            clearance = np.full((len(position), 1), np.inf)
+        output.SetFromVector(clearance.ravel())

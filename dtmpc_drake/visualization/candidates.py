@@ -81,9 +81,7 @@ def plot_candidates(
     """
     if plan.num_outputs < 2:
         raise ValueError("plan: one output only, so there are no sides to draw")
-    view = View.from_above(
-        scenario, plan, np.zeros((0, 2, plan.num_outputs)), "bandwidth"
-    )
+    view = View.from_above(scenario, plan, [], "bandwidth")
     good = [c for c in candidates if _keeps(c)]
     costs = np.array([_cost(c) for c in good] or [1.0])
     colors = Normalize(np.log(costs.min()), np.log(1.05 * costs.max()))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -39,6 +40,7 @@ from dtmpc_drake.visualization.style import (
     ColorBy,
     Coloring,
     axis_name,
+    cloud_colors,
     unit_of,
 )
 
@@ -56,7 +58,7 @@ def plot_plan(
     *,
     scenario: Scenario,
     plan: Plan,
-    position: FloatArray | None = None,
+    position: FloatArray | Mapping[str, FloatArray] | None = None,
     time: FloatArray | None = None,
     color_by: ColorBy = "bandwidth",
 ) -> Figure:
@@ -72,7 +74,8 @@ def plot_plan(
         scenario: gives the obstacles.
         plan: a plan, or an infeasible attempt.
         position: of the vehicle, ``(K, m)`` or, for several flights,
-            ``(flights, K, m)``, in m.
+            ``(flights, K, m)``, in m; or several such clouds by name, of which
+            the last is drawn on top.
         time: of the flights, ``(K,)``, in s; uniform over the plan if left out.
             Only a single output needs it.
         color_by: ``bandwidth`` or ``speed``.
@@ -80,14 +83,66 @@ def plot_plan(
     Returns:
         A figure, to be saved with ``savefig``.
     """
-    flights = np.zeros((0, 2, plan.num_outputs))
-    if position is not None:
-        flights = np.reshape(position, (-1, *np.shape(position)[-2:]))
-    if time is None:
-        time = np.linspace(plan.start_time, plan.end_time, flights.shape[1])
+    clouds = _Cloud.of(position)
     if plan.num_outputs == 1:
-        return _plot_over_time(scenario, plan, flights[..., 0], time, color_by)
-    return _plot_from_above(scenario, plan, flights, color_by)
+        return _plot_over_time(scenario, plan, clouds, time, color_by)
+    return _plot_from_above(scenario, plan, clouds, color_by)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Cloud:
+    """Flights that are drawn alike.
+
+    Attributes:
+        label: for the legend.
+        color: of the lines.
+        width: of the lines, relative to the reference's.
+        alpha: of each line.
+        paths: ``(flights, K, m)``.
+    """
+
+    label: str
+    color: str
+    width: float
+    alpha: float
+    paths: FloatArray
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    @classmethod
+    def of(cls, position: FloatArray | Mapping[str, FloatArray] | None) -> list[_Cloud]:
+        """One cloud, several, or none."""
+        if position is None:
+            return []
+        if not isinstance(position, Mapping):
+            paths = np.reshape(position, (-1, *np.shape(position)[-2:]))
+            if len(paths) == 1:
+                return [cls("flown", VERMILION, 0.25, 1.0, paths)]
+            position = {f"{len(paths)} flights": paths}
+        colors = cloud_colors(position)
+        return [
+            # So faint that many flights still show where most of them are.
+            cls(name, colors[name], 0.15, float(np.clip(50 / len(p), 0.1, 0.5)), p)
+            for name, p in position.items()
+        ]
+
+    def draw(self, axes: Axes, paths: FloatArray, line_width: float) -> None:
+        """Draws its flights, seen from somewhere.
+
+        Args:
+            axes: to draw into.
+            paths: the two coordinates seen, ``(flights, K, 2)``.
+            line_width: of the reference, in points.
+        """
+        # Below the reference if they are many, else they would hide it.
+        style: dict[str, Any] = {"alpha": self.alpha, "lw": self.width * line_width}
+        zorder = 5 if len(paths) == 1 else 3.5
+        lines = LineCollection(list(paths), color=self.color, zorder=zorder, **style)
+        axes.add_collection(lines, autolim=False)
+
+    def handle(self) -> Artist:
+        """For the legend."""
+        return Line2D([], [], color=self.color, lw=1.2, label=self.label)
 
 
 # From above.
@@ -101,7 +156,7 @@ class View:
         order: the outputs along the horizontal and the vertical axis.
         center: y*, ``(K, 2)``, in that order, as all that follows.
         half: Ω, ``(K, 2)``.
-        flights: ``(flights, K', 2)``.
+        clouds: flights, in the vehicle's own order of axes.
         obstacles: sections (None if passed above or below) and silhouettes.
         coloring: of the reference.
     """
@@ -109,7 +164,7 @@ class View:
     order: tuple[int, int]
     center: FloatArray
     half: FloatArray
-    flights: FloatArray
+    clouds: list[_Cloud]
     obstacles: list[tuple[Ellipse | None, Ellipse]]
     coloring: Coloring
 
@@ -117,7 +172,7 @@ class View:
 
     @classmethod
     def from_above(
-        cls, scenario: Scenario, plan: Plan, flights: FloatArray, color_by: ColorBy
+        cls, scenario: Scenario, plan: Plan, clouds: list[_Cloud], color_by: ColorBy
     ) -> View:
         """The longer of the first two outputs goes to the right."""
         samples = plan.sample(_PERIOD)
@@ -129,7 +184,7 @@ class View:
             order=order,
             center=position[:, columns],
             half=tube[:, columns],
-            flights=flights[..., columns],
+            clouds=clouds,
             obstacles=obstacle_sections(scenario.obstacle_set(), position, tube),
             coloring=Coloring.along(plan, samples["time"], color_by),
         )
@@ -179,19 +234,14 @@ class View:
             PathPatch(tube, fc="none", ec=BLACK, lw=2.0, joinstyle="round", zorder=2)
         )
         axes.add_patch(PathPatch(tube, fc=PALE_BLUE, ec="none", zorder=2.1))
-        for flight in self.flights:
-            many = len(self.flights) > 1
-            axes.plot(
-                *flight.T,
-                color=BLUE if many else VERMILION,
-                lw=(0.15 if many else 0.25) * line_width,
-                alpha=0.5 if many else 1.0,
-                zorder=5,
-            )
+        for cloud in self.clouds:
+            cloud.draw(axes, cloud.paths[..., order], line_width)
+        many = any(len(cloud.paths) > 1 for cloud in self.clouds)
+        width = 0.2 * line_width if many else line_width
         if colored:
-            _colored_line(axes, self.center, self.coloring, line_width)
+            _colored_line(axes, self.center, self.coloring, width)
         else:
-            axes.plot(*self.center.T, color=BLACK, lw=line_width, zorder=4)
+            axes.plot(*self.center.T, color=BLACK, lw=width, zorder=4)
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])
         axes.set_aspect("equal")
@@ -203,12 +253,12 @@ class View:
 
 
 def _plot_from_above(
-    scenario: Scenario, plan: Plan, flights: FloatArray, color_by: ColorBy
+    scenario: Scenario, plan: Plan, clouds: list[_Cloud], color_by: ColorBy
 ) -> Figure:
     samples = plan.sample(_PERIOD)
     position, tube = samples["position"], samples["position_tube"]
     obstacles = scenario.obstacle_set()
-    view = View.from_above(scenario, plan, flights, color_by)
+    view = View.from_above(scenario, plan, clouds, color_by)
     low, high = view.window()
     width, height = high - low
     # Insets pay where the tube is thin beside the whole picture.
@@ -244,7 +294,7 @@ def _plot_from_above(
         _connect(figure, main, panel)
         panels.append(panel)
     _color_bar(figure, panels, view.coloring)
-    _legend(figure, scenario, view.coloring, len(flights))
+    _legend(figure, scenario, view.coloring, clouds)
     return figure
 
 
@@ -305,8 +355,8 @@ def _tight_spots(
 def _plot_over_time(
     scenario: Scenario,
     plan: Plan,
-    flights: FloatArray,
-    time: FloatArray,
+    clouds: list[_Cloud],
+    time: FloatArray | None,
     color_by: ColorBy,
 ) -> Figure:
     samples = plan.sample(_PERIOD)
@@ -318,8 +368,13 @@ def _plot_over_time(
     axes.fill_between(now, center - half, center + half, fc=PALE_BLUE, ec="none")
     for edge in (center - half, center + half):
         axes.plot(now, edge, color=BLACK, lw=1.0)
-    for flight in flights:
-        axes.plot(time, flight, color=VERMILION, lw=1.2, zorder=5)
+    for cloud in clouds:
+        paths = cloud.paths[..., 0]
+        when = time
+        if when is None:
+            when = np.linspace(plan.start_time, plan.end_time, paths.shape[1])
+        seen = np.stack([np.broadcast_to(when, paths.shape), paths], axis=-1)
+        cloud.draw(axes, seen, 5.0)
     _colored_line(axes, np.stack([now, center], axis=1), coloring, 3.0)
     axes.margins(x=0.02)
     bottom, top = axes.get_ylim()
@@ -331,7 +386,7 @@ def _plot_over_time(
     axes.set_xlabel("time (s)")
     axes.set_ylabel("position y (m)")
     _color_bar(figure, [axes], coloring)
-    _legend(figure, scenario, coloring, len(flights))
+    _legend(figure, scenario, coloring, clouds)
     return figure
 
 
@@ -339,7 +394,8 @@ def _colored_line(
     axes: Axes, points: FloatArray, coloring: Coloring, width: float
 ) -> None:
     """The reference; a dark edge keeps its light end visible."""
-    axes.plot(*points.T, color=EDGE, lw=width + 0.8, zorder=4, solid_capstyle="round")
+    edge = min(0.8, width)
+    axes.plot(*points.T, color=EDGE, lw=width + edge, zorder=4, solid_capstyle="round")
     line = LineCollection(
         np.stack([points[:-1], points[1:]], axis=1),
         cmap=coloring.colormap,
@@ -359,26 +415,22 @@ def _color_bar(figure: Figure, axes: list[Axes], coloring: Coloring) -> None:
 
 
 def _legend(
-    figure: Figure, scenario: Scenario, coloring: Coloring, flights: int
+    figure: Figure, scenario: Scenario, coloring: Coloring, clouds: list[_Cloud]
 ) -> None:
     handles: list[Artist] = [
         Line2D([], [], color=coloring.colormap(0.55), lw=3.8, label="reference"),
         Patch(fc=PALE_BLUE, ec=BLACK, label="tube"),
     ]
-    if flights:
-        handles.append(
-            Line2D(
-                [],
-                [],
-                color=BLUE if flights > 1 else VERMILION,
-                lw=1.2,
-                label=f"{flights} flights" if flights > 1 else "flown",
-            )
-        )
+    handles += [cloud.handle() for cloud in clouds]
     if scenario.obstacles:
         handles.append(Patch(fc=GREY, ec=EDGE, label="obstacle"))
     figure.legend(
-        handles=handles, loc="outside upper center", ncols=len(handles), frameon=False
+        handles=handles,
+        loc="outside upper center",
+        ncols=len(handles),
+        frameon=False,
+        columnspacing=1.4 if len(handles) > 5 else 2.0,
+        handlelength=1.4 if len(handles) > 5 else 2.0,
     )
 
 

@@ -13,7 +13,7 @@ import html
 import itertools
 import json
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from importlib import resources
 from pathlib import Path
 from string import Template
@@ -50,6 +50,7 @@ from dtmpc_drake.visualization.style import (
     VERMILION,
     ColorBy,
     Coloring,
+    cloud_colors,
 )
 
 ROOT = "/dtmpc"
@@ -59,6 +60,10 @@ _FRAME_RATE = 32.0  # of the animation, in 1/s
 _PAUSE = 1.5  # at the end of the flight, before it starts again, in s
 _TRAIL_PERIOD = 0.1  # length of a piece of the trail, in s
 _TUBE_PERIOD = 0.05  # between two rings of the tube, in s
+_SWARM = 40  # vehicles that fly along, about
+_BALL = 0.04  # their radius, in m
+_CLOUD_TRAILS = 400  # trails of a cloud, and points of each: what a file can hold
+_CLOUD_POINTS = 150
 _FLAT = 0.04  # half-thickness along axes that the vehicle does not have, in m
 _GRAVITY = 9.81  # m/s², for the attitude of the picture only
 
@@ -72,6 +77,7 @@ def write_replay(
     path: str | Path,
     color_by: ColorBy = "bandwidth",
     status: str | None = None,
+    clouds: Mapping[str, FloatArray] | None = None,
 ) -> None:
     """Writes a flight as one self-contained HTML file.
 
@@ -83,6 +89,8 @@ def write_replay(
         path: of the file; its directory must exist.
         color_by: what the colours of the tube mean.
         status: one line for the legend, such as the plan's status.
+        clouds: more flights of the same plan at the same times by the name of
+            their group, ``(flights, K, m)``.
 
     Raises:
         ValueError: if `time` and `position` do not fit.
@@ -97,7 +105,12 @@ def write_replay(
     with _quiet_drake():
         meshcat = Meshcat(MeshcatParams(host="localhost", port=0))
     add_scene(meshcat, scenario=scenario, plan=plan, color_by=color_by)
-    add_flight(meshcat, plan=plan, time=time, position=position)
+    swarm = None
+    if clouds is not None:
+        add_cloud_trails(meshcat, clouds=clouds)
+        each = -(-_SWARM // len(clouds))
+        swarm = {name: flights[:each] for name, flights in clouds.items()}
+    add_flight(meshcat, plan=plan, time=time, position=position, swarm=swarm)
     page = meshcat.StaticHtml()
     overlay = legend_html(
         scenario=scenario,
@@ -106,6 +119,7 @@ def write_replay(
         position=position,
         color_by=color_by,
         status=status,
+        clouds=() if clouds is None else clouds,
     )
     head, end, tail = page.rpartition("</body>")
     title = html.escape(scenario.name)
@@ -409,8 +423,35 @@ def _rgba(color: str, opacity: float = 1.0) -> Rgba:
 # The flight.
 
 
+def add_cloud_trails(meshcat: Meshcat, *, clouds: Mapping[str, FloatArray]) -> None:
+    """Draws the trails of many flights as thin lines that do not move.
+
+    Args:
+        meshcat: to draw into.
+        clouds: flights by the name of their group, ``(flights, K, m)``, in m; no
+            more of each than fit into a picture and a file.
+    """
+    colors = cloud_colors(clouds)
+    for i, (name, flights) in enumerate(clouds.items()):
+        every = max(1, flights.shape[1] // _CLOUD_POINTS)
+        points = flights[: _CLOUD_TRAILS // len(clouds), ::every]
+        points = points @ embedding(points.shape[-1]).T
+        meshcat.SetLineSegments(
+            f"{ROOT}/cloud/trails/{i}",
+            points[:, :-1].reshape(-1, 3).T,
+            points[:, 1:].reshape(-1, 3).T,
+            1.0,
+            _rgba(colors[name], 0.35),
+        )
+
+
 def add_flight(
-    meshcat: Meshcat, *, plan: Plan, time: FloatArray, position: FloatArray
+    meshcat: Meshcat,
+    *,
+    plan: Plan,
+    time: FloatArray,
+    position: FloatArray,
+    swarm: Mapping[str, FloatArray] | None = None,
 ) -> None:
     """Records the flight as an animation that plays at once, in a loop.
 
@@ -422,6 +463,8 @@ def add_flight(
         plan: drawn by `add_scene` before.
         time: ``(K,)``, in s.
         position: ``(K, m)``, in m.
+        swarm: more vehicles that fly along, as small balls, by the name of their
+            group, ``(flights, K, m)``.
     """
     E = embedding(plan.num_outputs)
     end = float(time[-1] - time[0])
@@ -440,6 +483,14 @@ def add_flight(
     starts, stops = (np.concatenate([e[k] for e in ends]).T for k in (0, 1))
     meshcat.SetLineSegments(f"{box}/edges", starts, stops, 2.0, _rgba(BLUE))
 
+    balls: dict[str, FloatArray] = {}
+    for name, flights in (swarm or {}).items():
+        color = _rgba(cloud_colors(swarm or {})[name])
+        for flight in flights:
+            path = f"{ROOT}/cloud/vehicles/{len(balls)}"
+            meshcat.SetObject(path, Sphere(_BALL), color)
+            balls[path] = _interpolate(now, time, flight) @ E.T
+
     meshcat.StartRecording(
         frames_per_second=_FRAME_RATE, set_visualizations_while_recording=False
     )
@@ -452,6 +503,9 @@ def add_flight(
         meshcat.SetProperty(box, "scale", np.maximum(half_axes[k], 1e-3).tolist(), t)
         camera = RigidTransform(RotationMatrix(chase[k]), reference[k, 0])
         meshcat.SetTransform(f"{ROOT}/chase", camera, t)
+        if k % 3 == 0 or k == len(frames) - 1:
+            for path, flight in balls.items():
+                meshcat.SetTransform(path, RigidTransform(flight[k]), t)
     pieces = np.append(np.arange(time[0], time[-1], _TRAIL_PERIOD), time[-1])
     for i, (begin, stop) in enumerate(itertools.pairwise(pieces)):
         points = _interpolate(np.linspace(begin, stop, 6), time, position) @ E.T
@@ -502,6 +556,7 @@ def legend_html(
     position: FloatArray,
     color_by: ColorBy = "bandwidth",
     status: str | None = None,
+    clouds: Iterable[str] = (),
 ) -> str:
     """What Meshcat cannot draw: legend, time line, read-outs, chase view.
 
@@ -537,6 +592,10 @@ def legend_html(
         "middle": f"{ticks[1]:.2f}",
         "high": f"{ticks[2]:.2f}",
         "vehicle_color": VERMILION,
+        "clouds": "".join(
+            f'<li><i style="color: {color}"></i>{html.escape(name)}</li>'
+            for name, color in cloud_colors(clouds).items()
+        ),
         "reference_color": BLACK,
         "box_color": BLUE,
         "obstacle_color": GREY,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -18,10 +19,15 @@ BLUE = "#0072B2"
 VERMILION = "#D55E00"
 PALE_BLUE = "#E4F0F8"
 GREEN = "#009E73"
+ORANGE = "#E69F00"
+PURPLE = "#CC79A7"
 BLACK = "#1A1A1A"
 GREY = "#9A9A9A"
 EDGE = "#555555"
 LIGHT_GREY = "#D9D9D9"
+
+# Clouds of flights: the last one is drawn on top, in the blue of a single one.
+_CLOUDS = (PURPLE, ORANGE, GREEN, BLUE)
 
 # Both are perceptually uniform: dark blue to yellow, and dark to peach.
 _RANGES = {"bandwidth": ("viridis", 0.12, 1.0), "speed": ("magma", 0.08, 0.86)}
@@ -95,6 +101,13 @@ class Coloring:
         """Colours of the values, shape ``(..., 3)``, in [0, 1]."""
         share = (values - self.low) / (self.high - self.low)
         return np.asarray(self.colormap(share)[..., :3])
+
+
+def cloud_colors(names: Iterable[str]) -> dict[str, str]:
+    """A colour for every cloud of flights, by its name."""
+    listed = list(names)
+    first = len(_CLOUDS) - len(listed)
+    return {n: _CLOUDS[i % len(_CLOUDS)] for i, n in enumerate(listed, start=first)}
 
 
 def unit_of(derivative: int) -> str:

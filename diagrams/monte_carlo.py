@@ -1,0 +1,268 @@
+"""Monte Carlo: one certified plan, flown many times through hard disturbances."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+from diagrams.closed_loop import SimulateTrials
+from diagrams.experiment import color_of, summarize, write_json
+from dtmpc_drake.monte_carlo import (
+    Flights,
+    batches,
+    choose_disturbances,
+    draw_trials,
+    save_flights,
+    spread,
+)
+from dtmpc_drake.plan import Plan
+from dtmpc_drake.planning import PlanningResult, plan
+from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.visualization import plot_plan, plot_quantiles, write_replay
+
+BATCH_SIZE = 250
+"""Large enough to pay, small enough for many workers and little memory."""
+OUTPUTS = (
+    "cloud.png",
+    "quantiles.png",
+    "replay.html",
+    "monte_carlo.npz",
+    "summary.json",
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Batch:
+    """Trials that fly side by side: all that a worker needs.
+
+    Attributes:
+        name: of the flights that it belongs to.
+        scenario: with the disturbance to fly through.
+        plan: to fly.
+        numbers: of the trials.
+    """
+
+    name: str
+    scenario: Scenario
+    plan: Plan
+    numbers: range
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+
+def fly(batch: Batch) -> Flights:
+    """Flies a batch in one diagram and keeps what is reported."""
+    trials = draw_trials(batch.scenario, batch.numbers)
+    log = SimulateTrials(batch.scenario, plan=batch.plan, trials=trials)
+    return Flights.reduce(
+        trials,
+        time=log.time,
+        position=log.position,
+        control=log.control,
+        tube_ratios=log.tube_ratios,
+        clearance=log.clearance,
+    )
+
+
+def fly_all(
+    flown: Mapping[str, tuple[Scenario, Plan]],
+    *,
+    trials: int,
+    batch_size: int = BATCH_SIZE,
+    scheduler: str | None = None,
+    done: Callable[[Batch], None] | None = None,
+) -> dict[str, Flights]:
+    """Flies plans many times each, spread over workers; see `spread`.
+
+    Args:
+        flown: a scenario and the plan to fly in it, by name.
+        trials: of each.
+        batch_size: trials in one diagram; the results do not depend on it.
+        scheduler: address of an existing Dask cluster.
+        done: is called with every batch that has ended.
+
+    Returns:
+        The flights by the same names.
+
+    Raises:
+        ScenarioError: if a number or the address makes no sense.
+    """
+    work = [
+        Batch(name, scenario, plan, numbers)
+        for name, (scenario, plan) in flown.items()
+        for numbers in batches(trials, batch_size)
+    ]
+    results = spread(fly, work, scheduler=scheduler, done=done)
+    parts: dict[str, list[Flights]] = {name: [] for name in flown}
+    for batch, result in zip(work, results, strict=True):
+        parts[batch.name].append(result)
+    return {name: Flights.concatenate(p) for name, p in parts.items()}
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class MonteCarlo:
+    """What a Monte Carlo experiment ended with.
+
+    Attributes:
+        scenario: that was flown.
+        result: of planning.
+        flights: by disturbance; none without a certified plan.
+        files: that were written.
+    """
+
+    scenario: Scenario
+    result: PlanningResult
+    flights: dict[str, Flights]
+    files: tuple[Path, ...]
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    @property
+    def safe(self) -> bool:
+        """Whether the plan is certified and no trial broke what that means."""
+        flown = self.flights.values()
+        return self.result.certified and all(flight.safe for flight in flown)
+
+    def table(self) -> str:
+        """One line a disturbance."""
+        rows = [
+            f"{'':<11}{'trials':>7}{'violations':>12}{'collisions':>12}"
+            f"{'|s|/Φ':>8}{'|ỹ|/Ω':>8}{'|dỹ/dt|/W':>11}{'clearance':>11}"
+            f"{'effort':>20}"
+        ]
+        for name, flown in self.flights.items():
+            layer, position, velocity = flown.worst_ratios.max(axis=0)
+            effort = flown.summary()["effort"]
+            spread = "{smallest:.2f} {median:.2f} {largest:.2f}".format(**effort)
+            rows.append(
+                f"{name:<11}{len(flown):>7}{sum(flown.violations.values()):>12}"
+                f"{flown.collisions:>12}{layer:>8.3f}{position:>8.3f}"
+                f"{velocity:>11.3f}{flown.smallest_clearance.min():>9.3f} m"
+                f"{spread:>20}"
+            )
+        return "\n".join(rows)
+
+    def __repr__(self) -> str:
+        """A summary that a person can read."""
+        lines = [f"{self.scenario.name}: {self.result.status}, {self.result.message}"]
+        if self.flights:
+            lines += [
+                "",
+                self.table(),
+                "",
+                "violations of layer and tubes; largest ratios; smallest clearance;",
+                "effort ∫‖u‖² dt: smallest, median, largest",
+            ]
+        lines += ["", "files", *(f"  {path}" for path in self.files)]
+        return "\n".join(lines)
+
+
+def run(
+    scenario: Scenario,
+    out: str | Path | None = None,
+    *,
+    trials: int = 1000,
+    disturbance: str = "all",
+    batch_size: int = BATCH_SIZE,
+    scheduler: str | None = None,
+    start: Callable[[int], None] | None = None,
+    done: Callable[[Batch], None] | None = None,
+) -> MonteCarlo:
+    """Plans once, flies the plan many times, and writes `OUTPUTS`.
+
+    Without a certified plan nothing is flown and only ``summary.json`` written.
+
+    Args:
+        scenario: the whole experiment; its seed decides every trial.
+        out: directory; ``out/<name of the scenario>_monte_carlo`` if left out.
+        trials: through each disturbance.
+        disturbance: as for `choose_disturbances`.
+        batch_size: trials in one diagram; the results do not depend on it.
+        scheduler: address of an existing Dask cluster.
+        start: is called with the number of all trials before they fly.
+        done: is called with every batch that has ended.
+
+    Raises:
+        ScenarioError: if the scenario or an argument makes no sense.
+        OSError: if the directory cannot be written.
+    """
+    scenario.validate()
+    batches(trials, batch_size)
+    chosen = choose_disturbances(scenario, disturbance)
+    out = Path("out", f"{scenario.name}_monte_carlo") if out is None else Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+    for name in OUTPUTS:
+        (out / name).unlink(missing_ok=True)
+    result = plan(scenario)
+    flights: dict[str, Flights] = {}
+    files = [out / name for name in OUTPUTS]
+    if result.certified and result.plan is not None:
+        if start is not None:
+            start(trials * len(chosen))
+        flights = fly_all(
+            {
+                name: (dataclasses.replace(scenario, disturbance=d), result.plan)
+                for name, d in chosen.items()
+            },
+            trials=trials,
+            batch_size=batch_size,
+            scheduler=scheduler,
+            done=done,
+        )
+        draw(scenario, result.plan, flights, out)
+        save_flights(files[3], flights)
+    else:
+        files = files[-1:]
+    write_json(files[-1], to_numbers(scenario, result, flights))
+    return MonteCarlo(scenario, result, flights, tuple(files))
+
+
+def to_numbers(
+    scenario: Scenario, result: PlanningResult, flights: Mapping[str, Flights]
+) -> dict[str, Any]:
+    """A Monte Carlo experiment as plain numbers and texts."""
+    return summarize(scenario, result, None) | {
+        "flights": {name: flown.summary() for name, flown in flights.items()}
+    }
+
+
+def draw(
+    scenario: Scenario, plan: Plan, flights: Mapping[str, Flights], out: Path
+) -> None:
+    """Writes the figures and the replay.
+
+    The vehicle of the replay is the flight that used most of its tube.
+
+    Raises:
+        OSError: if the directory cannot be written.
+    """
+    labels = {name: name.replace("_", " ") for name in flights}
+    # The widest clouds at the bottom.
+    wide = sorted(flights, key=lambda name: -flights[name].position_ratio.mean())
+    clouds = {f"{len(flights[n])} × {labels[n]}": flights[n].position for n in wide}
+    first = flights[wide[0]]
+    color_by = color_of(scenario)
+    plot_plan(
+        scenario=scenario,
+        plan=plan,
+        position=clouds,
+        time=first.time,
+        color_by=color_by,
+    ).savefig(out / "cloud.png")
+    plot_quantiles(
+        time=first.time,
+        ratios={labels[name]: f.position_ratio for name, f in flights.items()},
+    ).savefig(out / "quantiles.png")
+    hardest = max(flights.values(), key=lambda f: float(f.worst_ratios[:, 1].max()))
+    write_replay(
+        scenario=scenario,
+        plan=plan,
+        time=first.time,
+        position=hardest.position[hardest.worst_ratios[:, 1].argmax()],
+        path=out / "replay.html",
+        color_by=color_by,
+        status=f"{sum(map(len, flights.values()))} flights; the worst is drawn large",
+        clouds=clouds,
+    )

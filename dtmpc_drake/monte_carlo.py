@@ -1,0 +1,400 @@
+"""Many trials of one scenario: drawing, spreading and judging them.
+
+Nothing here knows how a trial is flown: `spread` calls any function on batches of
+trials, in this process or on a Dask cluster.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+
+from dtmpc_drake.models import Array
+from dtmpc_drake.scenario import (
+    BangBang,
+    ColoredWind,
+    Disturbance,
+    Scenario,
+    ScenarioError,
+    UniformHold,
+    WorstCase,
+)
+
+REPORT_PERIOD = 0.05
+"""Between two samples that are kept of a flight, in s."""
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
+RATIOS = ("layer", "position", "velocity")
+"""What |s|/Φ, |ỹ|/Ω and |dỹ/dt|/W are shares of."""
+
+PATIENCE = 10.0
+"""How long an existing scheduler may take to answer, in s."""
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+# Drawing.
+
+
+@dataclasses.dataclass(frozen=True)
+class Trial:
+    """One trial of a scenario: what is drawn for it.
+
+    Attributes:
+        index: its number, from 0.
+        seed: of everything random in it.
+        parameters: of the true plant, by name.
+    """
+
+    index: int
+    seed: int
+    parameters: dict[str, float]
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    def scenario(self, scenario: Scenario) -> Scenario:
+        """The scenario of this trial alone, to be simulated by itself."""
+        return dataclasses.replace(
+            scenario,
+            plant=dict(self.parameters),
+            simulation=dataclasses.replace(scenario.simulation, seed=self.seed),
+        )
+
+
+def draw_trials(scenario: Scenario, indices: Iterable[int]) -> list[Trial]:
+    """Draws trials by their numbers.
+
+    A trial is a function of the scenario's seed and of its own number alone.
+    True parameters are spread over all that the model allows, whatever the
+    scenario's plant has: trial 0 is at the low end, trial 1 at the high end, and
+    the others are uniform between.
+    """
+    intervals = {
+        name: scenario.model.parameter_interval(name)
+        for name in scenario.model.parameter_names
+    }
+    trials = []
+    for index in indices:
+        entropy = np.random.SeedSequence([scenario.simulation.seed, index])
+        share = np.random.default_rng(entropy).random(len(intervals))
+        if index < 2:
+            share[:] = index
+        parameters = {
+            name: float((1 - s) * low + s * high)
+            for s, (name, (low, high)) in zip(share, intervals.items(), strict=True)
+        }
+        seed = int(entropy.generate_state(1)[0])
+        trials.append(Trial(index, seed, parameters))
+    return trials
+
+
+HARD: dict[str, Callable[[list[float]], Disturbance]] = {
+    "uniform": lambda bound: UniformHold(bound=bound),
+    "bang_bang": lambda bound: BangBang(bound=bound),
+    "worst_case": lambda bound: WorstCase(bound=bound),
+    "wind": lambda bound: ColoredWind(bound=bound, intensity=1.0),
+}
+"""What `choose_disturbances` makes of a bound D."""
+
+
+def choose_disturbances(scenario: Scenario, choice: str) -> dict[str, Disturbance]:
+    """The disturbances to fly through, by name, all with the scenario's bound.
+
+    Args:
+        scenario: whose own disturbance stands in for the one of its kind.
+        choice: one of `HARD`, ``all`` of them, or ``scenario`` for its own.
+
+    Raises:
+        ScenarioError: if the choice is none of these.
+    """
+    own = scenario.disturbance
+    if choice == "scenario":
+        return {choice: own}
+    names = list(HARD) if choice == "all" else [choice]
+    if not set(names) <= set(HARD):
+        allowed = ", ".join((*HARD, "all", "scenario"))
+        raise ScenarioError("disturbance", choice, f"one of {allowed}")
+    made = {name: HARD[name](list(own.bound)) for name in names}
+    return {n: own if type(own) is type(d) else d for n, d in made.items()}
+
+
+# Spreading.
+
+
+def batches(count: int, size: int) -> list[range]:
+    """The numbers of `count` trials in batches; the last may be smaller.
+
+    Raises:
+        ScenarioError: if there would be none, or they would be empty.
+    """
+    for field, value in (("trials", count), ("batch-size", size)):
+        if value < 1:
+            raise ScenarioError(field, value, "at least 1")
+    return [range(i, min(i + size, count)) for i in range(0, count, size)]
+
+
+def spread(
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    *,
+    scheduler: str | None = None,
+    done: Callable[[Item], None] | None = None,
+) -> list[Result]:
+    """Calls a function on every item as Dask tasks.
+
+    A task whose worker dies is run again by another.  Without a scheduler the
+    workers are processes of this machine, one a core; a single item is computed
+    in this process then.  As with any such processes, a script that calls this
+    must guard its main part by ``if __name__ == "__main__"``.
+
+    Args:
+        function: must be importable where the workers run, and give the same
+            for the same item, since it may be called twice.
+        items: one a task.
+        scheduler: address of an existing cluster, such as
+            ``tcp://127.0.0.1:8786``.
+        done: is called with every item whose result is there.
+
+    Returns:
+        The results in the order of the items.
+
+    Raises:
+        ScenarioError: if no scheduler answers at the address.
+    """
+    done = done or (lambda _: None)
+    if scheduler is None and len(items) == 1:
+        results = [function(items[0])]
+        done(items[0])
+        return results
+
+    # Only here: importing it takes longer than flying a few trials.
+    from distributed import as_completed
+
+    with _connected(scheduler, tasks=len(items)) as client:
+        # Every task carries all it needs: what is scattered dies with a worker.
+        futures = [client.submit(function, item, pure=False) for item in items]
+        if scheduler is not None:
+            _wait_for_workers(client, scheduler)
+        numbers = {future.key: i for i, future in enumerate(futures)}
+        collected: dict[int, Result] = {}
+        for future, result in as_completed(futures, with_results=True):
+            collected[numbers[future.key]] = result
+            done(items[numbers[future.key]])
+    return [collected[i] for i in range(len(items))]
+
+
+@contextlib.contextmanager
+def _connected(scheduler: str | None, *, tasks: int) -> Iterator[Any]:
+    """A client of an existing cluster, or of one that lives as long as it does."""
+    from distributed import Client, LocalCluster
+
+    with contextlib.ExitStack() as stack:
+        if scheduler is not None:
+            try:
+                client = Client(scheduler, timeout=PATIENCE)
+            except (OSError, ValueError, TypeError) as error:
+                raise ScenarioError(
+                    "scheduler",
+                    scheduler,
+                    f"the address of a Dask scheduler that answers ({error})",
+                ) from None
+        else:
+            cluster = LocalCluster(
+                n_workers=min(tasks, os.cpu_count() or 1),
+                threads_per_worker=1,
+                dashboard_address=None,
+            )
+            client = Client(stack.enter_context(cluster))
+        yield stack.enter_context(client)
+
+
+def _wait_for_workers(client: Any, scheduler: str) -> None:
+    try:
+        client.wait_for_workers(1, timeout=6 * PATIENCE)
+    except TimeoutError:
+        allowed = f"a scheduler with workers: none came in {6 * PATIENCE:g} s"
+        raise ScenarioError("scheduler", scheduler, allowed) from None
+
+
+# Judging.
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Flights:
+    """What is kept of T trials that flew one plan through one disturbance.
+
+    Attributes:
+        index: numbers of the trials, ``(T,)``.
+        seed: of each trial, ``(T,)``.
+        parameters: true parameters by name, ``(T,)`` each.
+        worst_ratios: largest |s|/Φ, |ỹ|/Ω and |dỹ/dt|/W, ``(T, 3)``.
+        smallest_clearance: to any obstacle, ``(T,)``, in m.
+        effort: ∫‖u‖² dt, ``(T,)``.
+        time: ``(K,)``, in s, `REPORT_PERIOD` apart.
+        position: ``(T, K, m)``.
+        position_ratio: |ỹ|/Ω of the worst axis, the largest since the sample
+            before, ``(T, K)``.
+    """
+
+    index: Array
+    seed: Array
+    parameters: dict[str, Array]
+    worst_ratios: Array
+    smallest_clearance: Array
+    effort: Array
+    time: Array
+    position: Array
+    position_ratio: Array
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    @classmethod
+    def reduce(
+        cls,
+        trials: Sequence[Trial],
+        *,
+        time: Array,
+        position: Array,
+        control: Array,
+        tube_ratios: Array,
+        clearance: Array,
+    ) -> Flights:
+        """Keeps of a log what is reported.
+
+        Every trial is reduced alone, in the same order of additions, so that
+        the result does not depend on what else is in its batch.
+
+        Args:
+            trials: T of them.
+            time: ``(S,)``, in s.
+            position: ``(S, T, m)``.
+            control: u, ``(S, T, m)``.
+            tube_ratios: ``(S, T, 3, m)``.
+            clearance: ``(S, T, obstacles)``, in m.
+        """
+        worst = tube_ratios.max(axis=-1)
+        # The end of each period of the report, and the last sample.
+        period = np.round(time / REPORT_PERIOD, 6)
+        ends = np.unique(np.searchsorted(period, np.arange(period[-1] + 1)))
+        ends = np.unique(np.append(ends, len(time) - 1))
+        starts = np.append(0, ends[:-1] + 1)
+        power = np.ascontiguousarray((control**2).sum(axis=-1).T)
+        energy = (power[:, 1:] + power[:, :-1]) / 2 * np.diff(time)
+        return cls(
+            index=np.array([trial.index for trial in trials]),
+            seed=np.array([trial.seed for trial in trials]),
+            parameters={
+                name: np.array([trial.parameters[name] for trial in trials])
+                for name in trials[0].parameters
+            },
+            worst_ratios=worst.max(axis=0),
+            smallest_clearance=clearance.min(axis=(0, 2)),
+            effort=energy.sum(axis=-1),
+            time=time[ends],
+            position=position[ends].swapaxes(0, 1).copy(),
+            position_ratio=np.maximum.reduceat(worst[:, :, 1], starts).T.copy(),
+        )
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Flights]) -> Flights:
+        """All trials of some batches, in their order."""
+
+        def join(name: str) -> Array:
+            return np.concatenate([getattr(part, name) for part in parts])
+
+        shared = {"time", "parameters"}
+        names = {field.name for field in dataclasses.fields(cls)} - shared
+        parameters = {
+            name: np.concatenate([part.parameters[name] for part in parts])
+            for name in parts[0].parameters
+        }
+        return cls(
+            time=parts[0].time, parameters=parameters, **{n: join(n) for n in names}
+        )
+
+    def __len__(self) -> int:
+        """T."""
+        return len(self.index)
+
+    @property
+    def violations(self) -> dict[str, int]:
+        """How many trials left the layer or a tube, by its name."""
+        return dict(zip(RATIOS, map(int, (self.worst_ratios > 1).sum(0)), strict=True))
+
+    @property
+    def collisions(self) -> int:
+        """How many trials touched an obstacle."""
+        return int((self.smallest_clearance <= 0).sum())
+
+    @property
+    def safe(self) -> bool:
+        """Whether no trial left its tube or touched anything."""
+        return not any(self.violations.values()) and not self.collisions
+
+    def quantiles(self) -> Array:
+        """Of |ỹ|/Ω over the trials, at every time, ``(len(QUANTILES), K)``."""
+        return np.asarray(np.quantile(self.position_ratio, QUANTILES, axis=0))
+
+    def arrays(self) -> dict[str, Array]:
+        """Everything as arrays by name, to be saved."""
+        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        parameters = fields.pop("parameters")
+        return fields | {f"parameter_{n}": v for n, v in parameters.items()}
+
+    def summary(self) -> dict[str, Any]:
+        """Plain numbers: counts, extremes and the trials that reached them."""
+        closest = int(self.smallest_clearance.argmin())
+        worst = int(self.worst_ratios[:, 1].argmax())
+        return {
+            "trials": len(self),
+            "violations": self.violations,
+            "collisions": self.collisions,
+            "worst_ratios": dict(
+                zip(RATIOS, map(float, self.worst_ratios.max(axis=0)), strict=True)
+            ),
+            "worst_position_trial": int(self.index[worst]),
+            "smallest_clearance": float(self.smallest_clearance[closest]),
+            "closest_trial": int(self.index[closest]),
+            "effort": _quantiles(self.effort),
+            # One number a trial: how much of its tube it ever used.
+            "largest_position_ratio": _quantiles(self.worst_ratios[:, 1]),
+        }
+
+    def __repr__(self) -> str:
+        """Names what a reader wants to know first."""
+        layer, position, velocity = self.worst_ratios.max(axis=0)
+        return (
+            f"Flights({len(self)} trials, {sum(self.violations.values())} violations, "
+            f"{self.collisions} collisions, worst |s|/Φ {layer:.3f}, |ỹ|/Ω "
+            f"{position:.3f}, |dỹ/dt|/W {velocity:.3f}, clearance "
+            f"{self.smallest_clearance.min():.3f} m)"
+        )
+
+
+def _quantiles(values: Array) -> dict[str, float]:
+    names = ["smallest", "median", "largest"]
+    return dict(zip(names, map(float, np.quantile(values, (0, 0.5, 1))), strict=True))
+
+
+def save_flights(path: str | Path, flights: Mapping[str, Flights]) -> None:
+    """Writes flights by the name of their disturbance, as ``<name>_<field>``.
+
+    Args:
+        path: of the ``.npz`` file.
+        flights: by name.
+
+    Raises:
+        OSError: if the file cannot be written.
+    """
+    arrays: dict[str, Any] = {
+        f"{kind}_{name}": array
+        for kind, flown in flights.items()
+        for name, array in flown.arrays().items()
+    }
+    with open(path, "wb") as file:
+        np.savez_compressed(file, **arrays)
