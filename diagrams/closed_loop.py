@@ -1,6 +1,8 @@
 """The closed loop: planner, tracker, plant, disturbance and monitor, wired.
 
-    plan = planner(scenario)          once, when the simulation starts
+    known = sensor(state)             if not all obstacles are known from the start
+    plan = planner(scenario)          when the simulation starts, and then, if asked
+                                      for, planner(state, known) on the way
     control, reference = tracker(state, plan)
     state = plant(control, disturbance)
 
@@ -23,10 +25,12 @@ from pydrake.systems.primitives import LogVectorOutput
 from diagrams.live_view import LiveView
 from dtmpc_drake.models import Array
 from dtmpc_drake.plan import Plan
+from dtmpc_drake.replan import Replan
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.systems import (
     DtmpcPlanner,
     MakeDisturbance,
+    ObstacleSensor,
     Plant,
     SlidingModeTracker,
     TubeMonitor,
@@ -58,7 +62,8 @@ def MakeClosedLoop(
     Returns:
         A diagram named ``closed_loop`` that exports the output ports `state`,
         `control`, `reference`, `plan`, `status`, `disturbance`, `tube_ratios`
-        and `clearance`; see the systems for their meaning.
+        and `clearance`; if there may be more plans than one, `known_since` and
+        `replans`, too.  See the systems for their meaning.
     """
     model = scenario.model
     builder = DiagramBuilder()
@@ -97,6 +102,15 @@ def MakeClosedLoop(
     for name in ("tube_ratios", "clearance"):
         outputs[name] = monitor.GetOutputPort(name)
 
+    if scenario.is_receding:
+        sensor = builder.AddNamedSystem(
+            "obstacle_sensor", ObstacleSensor(scenario=scenario)
+        )
+        builder.Connect(outputs["state"], sensor.GetInputPort("state"))
+        measured = sensor.GetOutputPort("measured_obstacles")
+        builder.Connect(measured, planner.GetInputPort("measured_obstacles"))
+        outputs["known_since"] = sensor.GetOutputPort("known_since")
+        outputs["replans"] = planner.GetOutputPort("replans")
     builder.Connect(outputs["state"], planner.GetInputPort("state"))
     builder.Connect(outputs["state"], tracker.GetInputPort("state"))
     builder.Connect(outputs["plan"], tracker.GetInputPort("plan"))
@@ -131,6 +145,10 @@ class Log:
         clearance: to each obstacle, ``(K, obstacles)`` in m; one column of
             infinities without obstacles.
         status: of the planner at the end.
+        known_since: when each obstacle became known, ``(obstacles,)`` in s;
+            infinite where it never was.
+        replans: every time that was planned on the way, the start included; none
+            if there could only be one plan.
     """
 
     time: Array
@@ -141,6 +159,8 @@ class Log:
     tube_ratios: Array
     clearance: Array
     status: str
+    known_since: Array
+    replans: tuple[Replan, ...] = ()
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
@@ -243,8 +263,16 @@ def Simulate(scenario: Scenario, *, plan: Plan | None = None) -> Log:
     for name, log in logs.items():
         data = log.data().T.copy()
         arrays[name] = data.reshape(len(data), *shapes.get(name, data.shape[1:]))
+    inside = loop.GetMyContextFromRoot(context)
+    known_since, replans = np.zeros(len(scenario.obstacles)), ()
+    if scenario.is_receding:
+        known_since = loop.GetOutputPort("known_since").Eval(inside).copy()
+        known_since = known_since[: len(scenario.obstacles)]
+        replans = loop.GetOutputPort("replans").Eval(inside)
     return Log(
         time=logs["state"].sample_times().copy(),
-        status=loop.GetOutputPort("status").Eval(loop.GetMyContextFromRoot(context)),
+        status=loop.GetOutputPort("status").Eval(inside),
+        known_since=known_since,
+        replans=replans,
         **arrays,
     )

@@ -100,31 +100,9 @@ def certify(plan: Plan, problem: Problem) -> Certificate:
     """
     n = problem.model.order
     half = _refined(plan.tube_times, 2 * REFINEMENT)
-    reference = plan.reference(half)
-    layer, layer_rate = plan.layer(half)
-    gain = switching_gain(
-        model_error_bound=problem.model.model_error_bound(reference[:, :n]),
-        disturbance_bound=problem.disturbance_bound,
-        reaching_rate=problem.reaching_rate,
-        boundary_layer_rate=layer_rate,
-    )
-    bandwidth = implied_bandwidth(gain=gain, boundary_layer=layer)
-    nodes = slice(None, None, 2)
-    step = float(half[2] - half[0])
-    tube = propagate_error_bounds(
-        model=problem.model,
-        reference=reference[:, :n],
-        bandwidth=bandwidth,
-        boundary_layer=layer[nodes],
-        boundary_layer_rate=layer_rate[nodes],
-        slope=problem.slope,
-        disturbance_bound=problem.disturbance_bound,
-        initial_error=problem.initial_error,
-        velocity_bound=problem.velocity_bound,
-        step=step,
-    )
-    time, reference = half[nodes], reference[nodes]
-    gain = gain[nodes]
+    flow = flow_along(plan, problem, half, problem.initial_error)
+    tube, bandwidth, nodes = flow.tube, flow.bandwidth, slice(None, None, 2)
+    time, reference, gain = half[nodes], flow.reference[nodes], flow.gain[nodes]
     margins: dict[str, Margin] = {}
     if len(problem.obstacles):
         margins["obstacles"] = _obstacle_margin(
@@ -151,13 +129,17 @@ def certify(plan: Plan, problem: Problem) -> Certificate:
     room = (problem.input_limit - used)[:, None]
     margins["input"] = _smallest(time, _between(room), f"m/s^{n}", "")
     margins |= _bandwidth_margins(problem, half, bandwidth)
-    margins["boundary_layer"] = _smallest(time, _between(layer[nodes]), "m/s", "axis")
+    layer = tube.boundary_layer
+    margins["boundary_layer"] = _smallest(time, _between(layer), "m/s", "axis")
     own = plan.error_bound(time) - tube.error_bound + TUBE_TOLERANCE
     margins["tube"] = _smallest(time, own.reshape(len(time), -1), "", "bound")
     ends = np.stack(
         [
             np.abs(reference[0, :n] - problem.start).max(keepdims=True)[0],
-            np.abs(reference[-1, :n] - problem.goal).max(keepdims=True)[0],
+            # What is not a number is free.
+            np.nan_to_num(np.abs(reference[-1, :n] - problem.goal)).max(keepdims=True)[
+                0
+            ],
         ]
     )
     margins["ends"] = _smallest(time[[0, -1]], END_TOLERANCE - ends, "", "axis")
@@ -168,6 +150,75 @@ def certify(plan: Plan, problem: Problem) -> Certificate:
         room = problem.model.bound - true
         margins["model_error"] = _smallest(time, _between(room), "m/s²", "axis")
     return Certificate(margins, problem.model.bounds_certified)
+
+
+@dataclasses.dataclass(frozen=True)
+class Flow:
+    """What a plan's polynomials imply on a half grid of K = 2 M + 1 times.
+
+    Attributes:
+        reference: y* and its derivatives, ``(K, n + 1, m)``.
+        gain: κ, ``(K, m)``.
+        bandwidth: α = κ / Φ, ``(K, m)``.
+        tube: at the M + 1 nodes.
+    """
+
+    reference: Array
+    gain: Array
+    bandwidth: Array
+    tube: Tube
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+
+def flow_along(plan: Plan, problem: Problem, time: Array, error: Array) -> Flow:
+    """The tube along a plan, or along a part of it, propagated again.
+
+    Args:
+        plan: whose polynomials are used.
+        problem: gives the model and the controller.
+        time: a half grid, ``(2 M + 1,)``, uniform, in s.
+        error: x̃ at the first of these times, or bounds of its size, ``(n, m)``.
+    """
+    reference = plan.reference(time)
+    state = reference[:, : problem.model.order]
+    layer, layer_rate = plan.layer(time)
+    gain = switching_gain(
+        model_error_bound=problem.model.model_error_bound(state),
+        disturbance_bound=problem.disturbance_bound,
+        reaching_rate=problem.reaching_rate,
+        boundary_layer_rate=layer_rate,
+    )
+    bandwidth = implied_bandwidth(gain=gain, boundary_layer=layer)
+    tube = propagate_error_bounds(
+        model=problem.model,
+        reference=state,
+        bandwidth=bandwidth,
+        boundary_layer=layer[::2],
+        boundary_layer_rate=layer_rate[::2],
+        slope=problem.slope,
+        disturbance_bound=problem.disturbance_bound,
+        initial_error=error,
+        velocity_bound=problem.velocity_bound,
+        step=float(time[2] - time[0]),
+    )
+    return Flow(reference, gain, bandwidth, tube)
+
+
+def clearance_ahead(plan: Plan, problem: Problem, start: float, error: Array) -> Margin:
+    """The smallest distance of a plan's tube from obstacles, from a time on.
+
+    Args:
+        plan: to look along, from `start` to its end.
+        problem: gives the obstacles; at least one.
+        start: in s.
+        error: x̃ at that time, or bounds of its size, ``(n, m)``.
+    """
+    finest = float(np.diff(plan.tube_times).min()) / REFINEMENT
+    steps = max(2, int(np.ceil((plan.end_time - start) / finest)))
+    half = np.linspace(start, plan.end_time, 2 * steps + 1)
+    flow = flow_along(plan, problem, half, error)
+    return _obstacle_margin(plan, problem, half[::2], flow.reference[::2, 0], flow.tube)
 
 
 def _bandwidth_margins(
@@ -262,7 +313,9 @@ def _obstacle_margin(
     leave = h**2 / 8 * (curvature + 2 * bend)
     sag = np.linalg.norm(obstacles.tube_radii(leave), axis=-1)
     values = bound - obstacles.radius - sag
-    return _smallest(time, values, "m", "obstacle")
+    margin = _smallest(time, values, "m", "obstacle")
+    nearest = obstacles.index[values.min(axis=0).argmin()]
+    return dataclasses.replace(margin, where=f"obstacle {nearest}")
 
 
 def _largest_acceleration(plan: Plan) -> Array:

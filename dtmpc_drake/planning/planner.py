@@ -22,7 +22,7 @@ from dtmpc_drake.planning.scp import (
     Result,
     iterate_to_convergence,
 )
-from dtmpc_drake.planning.transcription import Iterate, Transcription
+from dtmpc_drake.planning.transcription import Guess, Iterate, Transcription
 from dtmpc_drake.scenario import Planner, Scenario
 
 Status = Literal["certified", "not_certified", "infeasible", "failed"]
@@ -148,7 +148,7 @@ def plan_problem(
     settings: Planner,
     *,
     report: Callable[[Iteration], None] | None = None,
-    warm_start: Plan | None = None,
+    warm_start: Guess | None = None,
 ) -> PlanningResult:
     """Plans any problem, such as one that starts on the way; see `plan`."""
     start = time.perf_counter()
@@ -194,7 +194,7 @@ def plan_problem(
 
 
 def _first_decisions(
-    transcription: Transcription, warm_start: Plan | None
+    transcription: Transcription, warm_start: Guess | None
 ) -> tuple[Array, Array]:
     if warm_start is None:
         return transcription.straight_line()
@@ -205,7 +205,7 @@ def _sequential_convex(
     problem: Problem,
     settings: Planner,
     *,
-    warm_start: Plan | None,
+    warm_start: Guess | None,
     report: Callable[[Iteration], None],
 ) -> tuple[Transcription, Result]:
     """Coarse grids first: a step there costs half, and refining is exact.
@@ -284,7 +284,8 @@ def _limits(transcription: Transcription, iterate: Iterate) -> str:
     if planes.margin.size and planes.margin.min() < 0:
         row, point = np.unravel_index(planes.margin.argmin(), planes.margin.shape)
         when = knots[planes.piece[row]] + tr.step * point / tr.control_degree
-        text = f"obstacle {planes.obstacle[row]} by {-planes.margin.min():.3f} m"
+        obstacle = tr.problem.obstacles.index[planes.obstacle[row]]
+        text = f"obstacle {obstacle} by {-planes.margin.min():.3f} m"
         found.append((-planes.margin.min(), f"{text} at t = {when:.2f} s"))
     worst = -iterate.speed_margin.min()
     if worst > 0:
