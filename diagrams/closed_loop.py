@@ -12,6 +12,7 @@ This is the one place where the wiring is written.
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import ClassVar
 
@@ -25,7 +26,7 @@ from pydrake.systems.primitives import LogVectorOutput
 from diagrams.live_view import LiveView
 from dtmpc_drake.models import Array
 from dtmpc_drake.plan import Plan
-from dtmpc_drake.replan import Replan
+from dtmpc_drake.replan import Replan, flown_plan
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.systems import (
     DtmpcPlanner,
@@ -189,10 +190,24 @@ class Log:
             "largest_speed": float(np.abs(speed).max()),
         }
 
+    def flown_plan(self) -> Plan | None:
+        """The plan that was in force at each time, if there could be several."""
+        return flown_plan(self.replans) if self.replans else None
+
     def save(self, path: str | Path) -> None:
-        """Writes all arrays as ``.npz``, under their names here."""
+        """Writes all arrays as ``.npz``, under their names here.
+
+        `replans` is a text in JSON; the plan of its entry i is in the arrays
+        ``plan<i>_<field of Plan>``.
+        """
+        arrays = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        arrays["replans"] = json.dumps([r.summary() for r in self.replans])
+        for i, one in enumerate(self.replans):
+            if one.plan is not None:
+                for field in dataclasses.fields(Plan):
+                    arrays[f"plan{i}_{field.name}"] = getattr(one.plan, field.name)
         with open(path, "wb") as file:
-            np.savez_compressed(file, **dataclasses.asdict(self))
+            np.savez_compressed(file, **arrays)
 
     @classmethod
     def load(cls, path: str | Path) -> Log:
@@ -208,7 +223,16 @@ class Log:
             if missing:
                 raise ValueError(f"{path}: not a saved log (no {missing[0]!r})")
             arrays = {name: data[name] for name in names}
-        return cls(**arrays | {"status": str(arrays["status"])})
+            replans = []
+            for i, fields in enumerate(json.loads(str(arrays["replans"]))):
+                names = [field.name for field in dataclasses.fields(Plan)]
+                plan = None
+                if f"plan{i}_{names[0]}" in data:
+                    plan = Plan(**{n: data[f"plan{i}_{n}"] for n in names})
+                fields["revealed"] = tuple(fields["revealed"])
+                replans.append(Replan(**fields, plan=plan))
+        texts = {"status": str(arrays["status"]), "replans": tuple(replans)}
+        return cls(**arrays | texts)
 
     def __repr__(self) -> str:
         """Names what a reader wants to know first."""

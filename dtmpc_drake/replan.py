@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any, ClassVar, Literal
+
+import numpy as np
 
 from dtmpc_drake.plan import Plan, join
 
@@ -50,6 +53,14 @@ class Replan:
         names = [f.name for f in dataclasses.fields(self) if f.name != "plan"]
         return {name: getattr(self, name) for name in names}
 
+    def headline(self) -> str:
+        """What a spectator wants to know."""
+        why = "first plan" if self.cause == "start" else "new plan"
+        if self.revealed:
+            plural = "s" if len(self.revealed) > 1 else ""
+            why = f"obstacle{plural} " + ", ".join(map(str, self.revealed)) + " found"
+        return f"t = {self.hand_over:.1f} s, {why}: {self.status}"
+
     def __repr__(self) -> str:
         """One line."""
         cause = self.cause + "".join(f" {i}" for i in self.revealed)
@@ -59,8 +70,58 @@ class Replan:
         )
 
 
+@dataclasses.dataclass(frozen=True)
+class Shown:
+    """A plan while it is in force.
+
+    Attributes:
+        plan: the plan.
+        start: when it takes over, in s.
+        end: when the next one does, in s.
+        replan: that it comes from.
+    """
+
+    plan: Plan
+    start: float
+    end: float
+    replan: Replan
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+
+def plans_in_force(replans: Sequence[Replan]) -> list[Shown]:
+    """Every plan that took over, in order."""
+    taken = [r for r in replans if r.plan is not None]
+    ends = [*(r.hand_over for r in taken[1:]), np.inf][: len(taken)]
+    return [
+        Shown(r.plan, r.hand_over, min(end, r.plan.end_time), r)
+        for r, end in zip(taken, ends, strict=True)
+        if r.plan is not None
+    ]
+
+
 def flown_plan(replans: Sequence[Replan]) -> Plan:
     """The plan that was in force at each time; see `dtmpc_drake.plan.join`."""
-    taken = [r for r in replans if r.plan is not None]
-    plans = [r.plan for r in taken if r.plan is not None]
-    return join(plans, [r.hand_over for r in taken])
+    shown = plans_in_force(replans)
+    return join([s.plan for s in shown], [s.start for s in shown])
+
+
+def counted(replans: Sequence[Replan]) -> str:
+    """How many plans took over, by status."""
+    counts = Counter(r.status for r in replans if r.plan is not None)
+    parts = [f"{number} {status}" for status, number in counts.items()]
+    return ", ".join(parts) + (" plans" if len(replans) > 1 else " plan")
+
+
+def table(replans: Sequence[Replan]) -> str:
+    """One line for each, under a header."""
+    header = f"{'t (s)':>6} {'from':>6}  {'cause':<12} {'status':<10}"
+    lines = [f"{header} {'iterations':>10} {'cost':>9} {'solve (s)':>9}"]
+    for r in replans:
+        cause = " ".join([r.cause, *map(str, r.revealed)])
+        cost = "" if r.cost is None else f"{r.cost:.3f}"
+        lines.append(
+            f"{r.time:6.2f} {r.hand_over:6.2f}  {cause:<12} {r.status:<10}"
+            f" {r.iterations:10d} {cost:>9} {r.solve_time:9.3f}"
+        )
+    return "\n".join(lines)

@@ -227,7 +227,7 @@ class Planner:
     uncertainty: str = "state_dependent"
     max_iterations: int = 40
     replan_period: float | None = None
-    compute_delay: float = 0.1
+    compute_delay: float = 0.2
 
 
 @dataclasses.dataclass

@@ -94,7 +94,7 @@ def plot_plan(
 
 
 @dataclasses.dataclass(frozen=True)
-class _View:
+class View:
     """What a look from above shows, in any window.
 
     Attributes:
@@ -174,22 +174,44 @@ class _View:
         axes.set_ylabel(f"{names[1]} (m)")
 
 
+def from_above(
+    scenario: Scenario,
+    samples: dict[str, FloatArray],
+    coloring: Coloring,
+    flights: FloatArray | None = None,
+) -> View:
+    """A look at a plan, its longer horizontal way across the picture.
+
+    Args:
+        scenario: gives the obstacles; a vehicle with two outputs or more.
+        samples: of the plan, as from `Plan.sample`.
+        coloring: of the samples.
+        flights: ``(flights, K, m)``.
+    """
+    position, tube = samples["position"], samples["position_tube"]
+    along_y = np.ptp(position[:, 1]) >= np.ptp(position[:, 0])
+    order = (1, 0) if along_y else (0, 1)
+    columns = list(order)
+    if flights is None:
+        flights = np.zeros((0, 2, position.shape[1]))
+    return View(
+        order=order,
+        center=position[:, columns],
+        half=tube[:, columns],
+        flights=flights[..., columns],
+        obstacles=obstacle_sections(scenario.obstacle_set(), position, tube),
+        coloring=coloring,
+    )
+
+
 def _plot_from_above(
     scenario: Scenario, plan: Plan, flights: FloatArray, color_by: ColorBy
 ) -> Figure:
     samples = plan.sample(_PERIOD)
     position, tube = samples["position"], samples["position_tube"]
-    along_y = np.ptp(position[:, 1]) >= np.ptp(position[:, 0])
-    order = (1, 0) if along_y else (0, 1)
-    columns = list(order)
     obstacles = scenario.obstacle_set()
-    view = _View(
-        order=order,
-        center=position[:, columns],
-        half=tube[:, columns],
-        flights=flights[..., columns],
-        obstacles=obstacle_sections(obstacles, position, tube),
-        coloring=Coloring.along(plan, samples["time"], color_by),
+    view = from_above(
+        scenario, samples, Coloring.along(plan, samples["time"], color_by), flights
     )
     low, high = view.window()
     width, height = high - low
@@ -225,7 +247,7 @@ def _plot_from_above(
         )
         _connect(figure, main, panel)
         panels.append(panel)
-    _color_bar(figure, panels, view.coloring)
+    color_bar(figure, panels, view.coloring)
     _legend(figure, scenario, view.coloring, len(flights))
     return figure
 
@@ -312,7 +334,7 @@ def _plot_over_time(
     axes.set_ylim(bottom, top)
     axes.set_xlabel("time (s)")
     axes.set_ylabel("position y (m)")
-    _color_bar(figure, [axes], coloring)
+    color_bar(figure, [axes], coloring)
     _legend(figure, scenario, coloring, len(flights))
     return figure
 
@@ -334,7 +356,8 @@ def _colored_line(
     axes.add_collection(line, autolim=False)
 
 
-def _color_bar(figure: Figure, axes: list[Axes], coloring: Coloring) -> None:
+def color_bar(figure: Figure, axes: list[Axes], coloring: Coloring) -> None:
+    """What the colours mean, beside all of these axes."""
     mappable = ScalarMappable(Normalize(coloring.low, coloring.high), coloring.colormap)
     bar = figure.colorbar(mappable, ax=axes, pad=0.015, fraction=0.03, aspect=28)
     bar.set_label(f"{coloring.label} ({coloring.unit})")
