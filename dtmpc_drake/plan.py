@@ -235,35 +235,30 @@ def join(plans: Sequence[Plan], times: Sequence[float]) -> Plan:
 
     Args:
         plans: in order, at least one.
-        times: when each of them takes effect, in s, increasing and at least a
-            microsecond apart; the first plan's start counts for the first.
+        times: when each of them takes effect, in s, increasing and more than
+            a microsecond apart; the first plan's start counts for the first.
     """
-    ends = [*times[1:], plans[-1].end_time]
     starts = [plans[0].start_time, *times[1:]]
+    ends = [*(time - _JUMP for time in times[1:]), plans[-1].end_time]
     parts = [
         plan.between(start, end)
         for plan, start, end in zip(plans, starts, ends, strict=True)
-        if end > start
     ]
 
-    def stacked(name: str, shared: bool) -> FloatArray:
-        """One field of all parts; at a shared time the later part counts."""
+    def stacked(name: str, drop: int = 0) -> FloatArray:
+        """One field of all parts, without the last rows of all but the last part."""
         rows = [getattr(part, name) for part in parts]
-        return np.concatenate(
-            [*(r[: -1 if shared else None] for r in rows[:-1]), rows[-1]]
-        )
+        return np.concatenate([*(r[: len(r) - drop] for r in rows[:-1]), rows[-1]])
 
-    grids = [part.tube_times.copy() for part in parts]
-    for grid in grids[:-1]:
-        grid[-1] -= _JUMP
     return Plan(
-        knots=stacked("knots", shared=True),
-        coefficients=stacked("coefficients", shared=False),
-        bandwidth_knots=stacked("bandwidth_knots", shared=True),
-        tube_times=np.concatenate(grids),
-        layer_samples=stacked("layer_samples", shared=False),
-        bound_samples=stacked("bound_samples", shared=False),
-        bound_rate_samples=stacked("bound_rate_samples", shared=False),
+        # The polynomials reach on to the hand-over.
+        knots=stacked("knots", drop=1),
+        coefficients=stacked("coefficients"),
+        bandwidth_knots=stacked("bandwidth_knots", drop=1),
+        tube_times=stacked("tube_times"),
+        layer_samples=stacked("layer_samples"),
+        bound_samples=stacked("bound_samples"),
+        bound_rate_samples=stacked("bound_rate_samples"),
     )
 
 
