@@ -1,6 +1,8 @@
 """The closed loop: planner, tracker, plant, disturbance and monitor, wired.
 
-    plan = planner(scenario)          once, when the simulation starts
+    known = sensor(state)             if not all obstacles are known from the start
+    plan = planner(scenario)          when the simulation starts, and then, if asked
+                                      for, planner(state, known) on the way
     control, reference = tracker(state, plan)
     state = plant(control, disturbance)
 
@@ -10,6 +12,7 @@ This is the one place where the wiring is written.
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -25,10 +28,12 @@ from diagrams.live_view import LiveView
 from dtmpc_drake.models import Array
 from dtmpc_drake.monte_carlo import Trial
 from dtmpc_drake.plan import Plan
+from dtmpc_drake.replan import Replan, flown_plan
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.systems import (
     DtmpcPlanner,
     MakeDisturbance,
+    ObstacleSensor,
     Plant,
     SeedTrials,
     SlidingModeTracker,
@@ -69,7 +74,8 @@ def MakeClosedLoop(
     Returns:
         A diagram named ``closed_loop`` that exports the output ports `state`,
         `control`, `reference`, `plan`, `status`, `disturbance`, `tube_ratios`
-        and `clearance`; see the systems for their meaning.
+        and `clearance`; if there may be more plans than one, `known_since` and
+        `replans`, too.  See the systems for their meaning.
 
     Raises:
         ValueError: if trials come without a plan or with a Meshcat.
@@ -129,6 +135,15 @@ def MakeClosedLoop(
 
     if trials is None:
         builder.Connect(outputs["state"], planner.GetInputPort("state"))
+        if scenario.is_receding:
+            sensor = builder.AddNamedSystem(
+                "obstacle_sensor", ObstacleSensor(scenario=scenario)
+            )
+            builder.Connect(outputs["state"], sensor.GetInputPort("state"))
+            measured = sensor.GetOutputPort("measured_obstacles")
+            builder.Connect(measured, planner.GetInputPort("measured_obstacles"))
+            outputs["known_since"] = sensor.GetOutputPort("known_since")
+            outputs["replans"] = planner.GetOutputPort("replans")
     builder.Connect(outputs["state"], tracker.GetInputPort("state"))
     builder.Connect(outputs["plan"], tracker.GetInputPort("plan"))
     builder.Connect(outputs["control"], plant.GetInputPort("control"))
@@ -165,6 +180,10 @@ class Log:
         clearance: to each obstacle, ``(K, obstacles)`` in m; one column of
             infinities without obstacles.
         status: of the planner at the end.
+        known_since: when each obstacle became known, ``(obstacles,)`` in s;
+            infinite where it never was.
+        replans: every time that was planned on the way, the start included; none
+            if there could only be one plan.
     """
 
     time: Array
@@ -175,6 +194,8 @@ class Log:
     tube_ratios: Array
     clearance: Array
     status: str
+    known_since: Array
+    replans: tuple[Replan, ...] = ()
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
@@ -208,10 +229,24 @@ class Log:
             "largest_speed": float(np.abs(speed).max()),
         }
 
+    def flown_plan(self) -> Plan | None:
+        """The plan that was in force at each time, if there could be several."""
+        return flown_plan(self.replans) if self.replans else None
+
     def save(self, path: str | Path) -> None:
-        """Writes all arrays as ``.npz``, under their names here."""
+        """Writes all arrays as ``.npz``, under their names here.
+
+        `replans` is a text in JSON; the plan of its entry i is in the arrays
+        ``plan<i>_<field of Plan>``.
+        """
+        arrays = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        arrays["replans"] = json.dumps([r.summary() for r in self.replans])
+        for i, one in enumerate(self.replans):
+            if one.plan is not None:
+                for field in dataclasses.fields(Plan):
+                    arrays[f"plan{i}_{field.name}"] = getattr(one.plan, field.name)
         with open(path, "wb") as file:
-            np.savez_compressed(file, **dataclasses.asdict(self))
+            np.savez_compressed(file, **arrays)
 
     @classmethod
     def load(cls, path: str | Path) -> Log:
@@ -227,7 +262,16 @@ class Log:
             if missing:
                 raise ValueError(f"{path}: not a saved log (no {missing[0]!r})")
             arrays = {name: data[name] for name in names}
-        return cls(**arrays | {"status": str(arrays["status"])})
+            replans = []
+            for i, fields in enumerate(json.loads(str(arrays["replans"]))):
+                names = [field.name for field in dataclasses.fields(Plan)]
+                plan = None
+                if f"plan{i}_{names[0]}" in data:
+                    plan = Plan(**{n: data[f"plan{i}_{n}"] for n in names})
+                fields["revealed"] = tuple(fields["revealed"])
+                replans.append(Replan(**fields, plan=plan))
+        texts = {"status": str(arrays["status"]), "replans": tuple(replans)}
+        return cls(**arrays | texts)
 
     def __repr__(self) -> str:
         """Names what a reader wants to know first."""
@@ -337,8 +381,16 @@ def _run(
         data = log.data().T.copy()
         shape = shapes.get(name, (*lead, -1))
         arrays[name] = data.reshape(len(data), *shape)
+    inside = loop.GetMyContextFromRoot(context)
+    known_since, replans = np.zeros(len(scenario.obstacles)), ()
+    if loop.HasOutputPort("replans"):
+        known_since = loop.GetOutputPort("known_since").Eval(inside).copy()
+        known_since = known_since[: len(scenario.obstacles)]
+        replans = loop.GetOutputPort("replans").Eval(inside)
     return Log(
         time=logs["state"].sample_times().copy(),
-        status=loop.GetOutputPort("status").Eval(loop.GetMyContextFromRoot(context)),
+        status=loop.GetOutputPort("status").Eval(inside),
+        known_since=known_since,
+        replans=replans,
         **arrays,
     )

@@ -9,13 +9,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
+
 from diagrams.closed_loop import Log, Simulate
 from dtmpc_drake.planning import Iteration, PlanningResult, plan
+from dtmpc_drake.replan import counted, table
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.visualization import (
     plot_candidates,
     plot_histories,
     plot_plan,
+    plot_receding_horizon,
+    plot_replans,
     write_replay,
 )
 from dtmpc_drake.visualization.style import ColorBy
@@ -32,6 +37,8 @@ ATTEMPT = "attempt.png"
 """The figure of a plan that is not certified."""
 CANDIDATES = "candidates.png"
 """The figure of a search for the best sides, if there was one."""
+REPLANS = "replans.png"
+"""The figure of all plans on the way, if there could be any."""
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -71,8 +78,8 @@ class Experiment:
             f" certificate {result.times['certify']:.3f} s)",
         ]
         if result.candidates:
-            table = result.candidates_table().splitlines()
-            lines += ["", "candidates", *(f"  {row}" for row in table), ""]
+            rows = result.candidates_table().splitlines()
+            lines += ["", "candidates", *(f"  {row}" for row in rows), ""]
         if self.log is None:
             lines.append("simulation      none: there is no certified plan to fly")
         else:
@@ -88,6 +95,9 @@ class Experiment:
                 f"{'':16}largest input {seen['largest_input']:.3f} {unit},"
                 f" largest speed {seen['largest_speed']:.3f} m/s",
             ]
+        if self.log is not None and self.log.replans:
+            lines += ["", counted(self.log.replans)]
+            lines += [f"  {line}" for line in table(self.log.replans).splitlines()]
         lines += ["", "files", *(f"  {path}" for path in self.files)]
         return "\n".join(lines)
 
@@ -100,10 +110,11 @@ def run(
 ) -> Experiment:
     """Plans, simulates if the plan is certified, and writes everything.
 
-    A certified plan gives all of `OUTPUTS`, and `CANDIDATES` after a search for the
-    best sides.  Any other gives ``summary.json``
-    and a figure of the attempt; outputs of an earlier run are removed, so that
-    a directory never mixes two.
+    A certified plan gives all of `OUTPUTS`, `CANDIDATES` after a search for the best
+    sides, and `REPLANS` if there may be more plans on the way; ``plan.npz`` is then
+    what was in force at each time.  Any other gives ``summary.json`` and a figure of
+    the attempt; outputs of an earlier run are removed, so that a directory never
+    mixes two.
 
     Args:
         scenario: the whole experiment.
@@ -117,40 +128,58 @@ def run(
     scenario.validate()
     out = Path("out", scenario.name) if out is None else Path(out)
     out.mkdir(parents=True, exist_ok=True)
-    for name in (*OUTPUTS, ATTEMPT, CANDIDATES):
+    for name in (*OUTPUTS, ATTEMPT, CANDIDATES, REPLANS):
         (out / name).unlink(missing_ok=True)
     result = plan(scenario, report=report)
     log = None
     files = []
     color_by = color_of(scenario)
     if result.certified and result.plan is not None:
-        log = Simulate(scenario, plan=result.plan)
+        # On the way, the planner makes its own first plan: the same one.
+        log = Simulate(scenario, plan=None if scenario.is_receding else result.plan)
+        flown = log.flown_plan() or result.plan
         files += [out / name for name in OUTPUTS]
         write_replay(
             scenario=scenario,
-            plan=result.plan,
+            plan=flown,
             time=log.time,
             position=log.position,
             path=files[0],
             color_by=color_by,
-            status=result.status,
+            status=counted(log.replans) if log.replans else result.status,
+            replans=log.replans,
+            known_since=log.known_since,
         )
-        plot_plan(
-            scenario=scenario,
-            plan=result.plan,
-            position=log.position,
-            time=log.time,
-            color_by=color_by,
-        ).savefig(files[1])
+        if log.replans:
+            plot_receding_horizon(
+                scenario=scenario,
+                replans=log.replans,
+                time=log.time,
+                position=log.position,
+                known_since=log.known_since,
+                color_by=color_by,
+            ).savefig(files[1])
+            files.insert(2, out / REPLANS)
+            plot_replans(
+                scenario=scenario, replans=log.replans, known_since=log.known_since
+            ).savefig(files[2])
+        else:
+            plot_plan(
+                scenario=scenario,
+                plan=flown,
+                position=log.position,
+                time=log.time,
+                color_by=color_by,
+            ).savefig(files[1])
         plot_histories(
             scenario=scenario,
-            plan=result.plan,
+            plan=flown,
             time=log.time,
             state=log.state,
             control=log.control,
-        ).savefig(files[2])
-        result.plan.save(files[3])
-        log.save(files[4])
+        ).savefig(out / "histories.png")
+        flown.save(out / "plan.npz")
+        log.save(out / "log.npz")
     else:
         if result.attempt is not None:
             files.append(out / ATTEMPT)
@@ -207,6 +236,8 @@ def summarize(
             for c in result.candidates
         ],
         "extremes": log.extremes() if log is not None else None,
+        "known_since": log.known_since if log is not None else None,
+        "replans": [r.summary() for r in log.replans] if log is not None else None,
     }
     cleaned: dict[str, Any] = _finite(summary)
     return cleaned
@@ -226,7 +257,7 @@ def _finite(value: Any) -> Any:
     """JSON has no infinity and knows no NumPy."""
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list):
+    if isinstance(value, (list, tuple, np.ndarray)):
         return [_finite(item) for item in value]
     if isinstance(value, (bool, str)) or value is None:
         return value

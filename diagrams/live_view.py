@@ -11,11 +11,13 @@ from pydrake.systems.framework import EventStatus, LeafSystem
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.systems.plan_port import DeclarePlanInputPort, EvalPlan
 from dtmpc_drake.visualization.geometry import embedding
-from dtmpc_drake.visualization.replay import ROOT, add_scene
+from dtmpc_drake.visualization.replay import ROOT, add_scene, add_tube
 
 
 class LiveView(LeafSystem):
     """Draws the scene when the simulation starts, then moves the vehicle.
+
+    A new plan replaces the old one as soon as it is in force.
 
     .. pydrake_system::
 
@@ -47,12 +49,16 @@ class LiveView(LeafSystem):
         self.DeclarePeriodicPublishEvent(publish_period, 0.0, self._move)
 
     def _draw(self, context: Any) -> EventStatus:
-        plan = EvalPlan(self._plan, context)
-        add_scene(self._meshcat, scenario=self._scenario, plan=plan)
+        self._drawn = EvalPlan(self._plan, context)
+        add_scene(self._meshcat, scenario=self._scenario, plan=self._drawn)
         return EventStatus.Succeeded()
 
     def _move(self, context: Any) -> EventStatus:
         position = self._state.Eval(context)[: self._embedding.shape[1]]
         where = RigidTransform(self._embedding @ position)
         self._meshcat.SetTransform(f"{ROOT}/vehicle", where)
+        plan = EvalPlan(self._plan, context)
+        if plan is not self._drawn:  # what Meshcat shows is no part of the Context
+            self._drawn = plan
+            add_tube(self._meshcat, plan=plan)
         return EventStatus.Succeeded()

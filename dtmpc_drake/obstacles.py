@@ -24,10 +24,13 @@ class Cylinder:
     Attributes:
         center: x and y of the axis, in m.
         radius: in m.
+        known_from: when the vehicle learns of it, in s; if left out, from the start
+            or, with a sensor, as soon as that reaches it.
     """
 
     center: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0])
     radius: float = 1.0
+    known_from: float | None = None
 
     def shape_matrix(self, num_outputs: int) -> FloatArray:
         """H, which drops all but the first two outputs."""
@@ -41,10 +44,13 @@ class Sphere:
     Attributes:
         center: one coordinate per output, in m.
         radius: in m.
+        known_from: when the vehicle learns of it, in s; if left out, from the start
+            or, with a sensor, as soon as that reaches it.
     """
 
     center: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])
     radius: float = 1.0
+    known_from: float | None = None
 
     def shape_matrix(self, num_outputs: int) -> FloatArray:
         """H, the identity."""
@@ -59,6 +65,8 @@ class Ellipsoid:
         center: one coordinate per output, in m.
         shape: H, as rows; distances are measured in this metric.
         radius: r_o, in the unit of ``H r``.
+        known_from: when the vehicle learns of it, in s; if left out, from the start
+            or, with a sensor, as soon as that reaches it.
     """
 
     center: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])
@@ -66,6 +74,7 @@ class Ellipsoid:
         default_factory=lambda: np.eye(3).tolist()
     )
     radius: float = 1.0
+    known_from: float | None = None
 
     def shape_matrix(self, num_outputs: int) -> FloatArray:
         """H, as given."""
@@ -83,11 +92,13 @@ class ObstacleSet:
         shape: H, ``(num_obstacles, rows, m)``, padded with zero rows.
         center: p_c in the image of H, ``(num_obstacles, rows)``.
         radius: r_o, ``(num_obstacles,)``.
+        index: of each in the scenario, ``(num_obstacles,)``.
     """
 
     shape: FloatArray
     center: FloatArray
     radius: FloatArray
+    index: npt.NDArray[np.intp]
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
@@ -103,7 +114,17 @@ class ObstacleSet:
             c = np.asarray(o.center, dtype=float)
             # A cylinder's centre is already in the image of H.
             center[i, : len(H)] = c if isinstance(o, Cylinder) else H @ c
-        return cls(shape, center, np.array([o.radius for o in obstacles], dtype=float))
+        radius = np.array([o.radius for o in obstacles], dtype=float)
+        return cls(shape, center, radius, np.arange(len(obstacles)))
+
+    def subset(self, chosen: npt.NDArray[np.bool_]) -> "ObstacleSet":
+        """Those obstacles for which `chosen`, ``(num_obstacles,)``, is true."""
+        return ObstacleSet(
+            shape=self.shape[chosen],
+            center=self.center[chosen],
+            radius=self.radius[chosen],
+            index=self.index[chosen],
+        )
 
     def __len__(self) -> int:
         """The number of obstacles."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import zipfile
-from math import factorial
+from collections.abc import Sequence
+from math import comb, factorial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -14,6 +15,7 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 _SAMPLE_PERIOD = 0.005  # of a saved plan, in s
+_JUMP = 1e-6  # in which joined plans change their tubes, in s
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -48,6 +50,17 @@ class Plan:
     bound_rate_samples: FloatArray
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        """Makes what is shared read-only."""
+        for field in dataclasses.fields(self):
+            view = np.asarray(getattr(self, field.name)).view()
+            view.flags.writeable = False
+            object.__setattr__(self, field.name, view)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Plan:
+        """Itself: nothing in it changes, and Contexts are copied often."""
+        return self
 
     @property
     def start_time(self) -> float:
@@ -118,6 +131,31 @@ class Plan:
         """Ω, the bound of ``|ỹ|``, shape ``(..., m)``."""
         return np.asarray(self.error_bound(time)[..., 0, :])
 
+    def between(self, start: float, end: float) -> Plan:
+        """A part of the plan, which is the same functions of time.
+
+        Args:
+            start: in s, within the plan.
+            end: in s, within the plan and after `start`.
+        """
+        knots, piece = _cut(self.knots, start, end)
+        shift = start - self.knots[piece[0]]
+        coefficients = self.coefficients[piece].copy()
+        coefficients[0] = _shifted(coefficients[0], shift)
+        grid, _ = _cut(self.tube_times, start, end)
+        bounds = _hermite(
+            self.tube_times, self.bound_samples, self.bound_rate_samples, grid
+        )
+        return Plan(
+            knots=knots,
+            coefficients=coefficients,
+            bandwidth_knots=self.bandwidth(knots),
+            tube_times=grid,
+            layer_samples=np.stack(self.layer(grid), axis=1),
+            bound_samples=bounds[0],
+            bound_rate_samples=bounds[1],
+        )
+
     def sample_times(self, period: float = _SAMPLE_PERIOD) -> FloatArray:
         """Uniform times from start to end, at most `period` apart."""
         count = int(np.ceil((self.end_time - self.start_time) / period - 1e-9))
@@ -187,6 +225,68 @@ class Plan:
             f"{self.num_outputs} outputs, bandwidth {a.min():.2f} to {a.max():.2f} "
             f"rad/s, position tube at most {w.max():.3f})"
         )
+
+
+def join(plans: Sequence[Plan], times: Sequence[float]) -> Plan:
+    """What was in force when each plan replaced the one before it.
+
+    Reference, boundary layer and bandwidth are continuous where they were so at
+    the hand-overs; the bounds of the errors jump there, within a microsecond.
+
+    Args:
+        plans: in order, at least one.
+        times: when each of them takes effect, in s, increasing and more than
+            a microsecond apart; the first plan's start counts for the first.
+    """
+    starts = [plans[0].start_time, *times[1:]]
+    ends = [*(time - _JUMP for time in times[1:]), plans[-1].end_time]
+    parts = [
+        plan.between(start, end)
+        for plan, start, end in zip(plans, starts, ends, strict=True)
+    ]
+
+    def stacked(name: str, drop: int = 0) -> FloatArray:
+        """One field of all parts, without the last rows of all but the last part."""
+        rows = [getattr(part, name) for part in parts]
+        return np.concatenate([*(r[: len(r) - drop] for r in rows[:-1]), rows[-1]])
+
+    return Plan(
+        # The polynomials reach on to the hand-over.
+        knots=stacked("knots", drop=1),
+        coefficients=stacked("coefficients"),
+        bandwidth_knots=stacked("bandwidth_knots", drop=1),
+        tube_times=stacked("tube_times"),
+        layer_samples=stacked("layer_samples"),
+        bound_samples=stacked("bound_samples"),
+        bound_rate_samples=stacked("bound_rate_samples"),
+    )
+
+
+def _cut(
+    grid: FloatArray, start: float, end: float
+) -> tuple[FloatArray, npt.NDArray[np.intp]]:
+    """The part of a grid between two times, and the piece that each of its is of.
+
+    Pieces of less than a nanosecond are left out.
+    """
+    inner = (grid > start + 1e-9) & (grid < end - 1e-9)
+    times = np.concatenate([[start], grid[inner], [end]])
+    piece = np.searchsorted(grid, (times[:-1] + times[1:]) / 2, side="right") - 1
+    return times, np.clip(piece, 0, len(grid) - 2)
+
+
+def _shifted(coefficients: FloatArray, shift: float) -> FloatArray:
+    """The same polynomial in powers of ``t - shift``, ``(powers, m)``."""
+    powers = len(coefficients)
+    return np.stack(
+        [
+            sum(
+                comb(p, k) * shift ** (p - k) * coefficients[p]
+                for p in range(k, powers)
+            )
+            for k in range(powers)
+        ]
+    )
 
 
 def _locate(

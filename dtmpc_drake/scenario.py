@@ -26,6 +26,7 @@ from dtmpc_drake.models import (
     Model,
 )
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Obstacle, ObstacleSet, Sphere
+from dtmpc_drake.sensing import BoolArray, range_needed, visible
 from dtmpc_drake.sliding import sliding_variable
 from dtmpc_drake.tube import propagate
 
@@ -216,6 +217,11 @@ class Planner:
             also tries other sides of the obstacles and takes the cheapest plan.
         time_budget: for ``best_side``, in s.  It buys candidates at fixed prices
             (see `planning.best_side`), so a plan never depends on the clock.
+        replan_period: between two plans, in s; if left out, there is a new plan
+            only where a new obstacle is known.
+        compute_delay: from a measurement until the plan that is made from it
+            takes effect, in s.  The default is three times what a plan on the way
+            and its certificate take at worst in the shipped experiments.
     """
 
     backend: str = "clarabel"
@@ -226,6 +232,22 @@ class Planner:
     max_iterations: int = 40
     initial_guess: str = "straight_line"
     time_budget: float = 2.0
+    replan_period: float | None = None
+    compute_delay: float = 0.2
+
+
+@dataclasses.dataclass
+class Sensing:
+    """How the vehicle learns of obstacles.
+
+    Attributes:
+        range: how near an obstacle's surface must come to be known, in m; if left
+            out, all are known, each from its `known_from` on.
+        period: between two looks of the sensor and of the planner, in s.
+    """
+
+    range: float | None = None
+    period: float = 0.02
 
 
 @dataclasses.dataclass
@@ -261,6 +283,7 @@ class Scenario:
         initial_error: of the plant, relative to the start of the reference.
         duration: in s.
         obstacles: any mix of shapes.
+        sensing: how the vehicle learns of them.
         planner: how the plan is computed.
         simulation: how the diagram is simulated.
     """
@@ -279,6 +302,7 @@ class Scenario:
     initial_error: Waypoint | None = None
     duration: float = 10.0
     obstacles: list[Obstacle] = dataclasses.field(default_factory=list)
+    sensing: Sensing = dataclasses.field(default_factory=Sensing)
     planner: Planner = dataclasses.field(default_factory=Planner)
     simulation: Simulation = dataclasses.field(default_factory=Simulation)
 
@@ -296,6 +320,65 @@ class Scenario:
     def obstacle_set(self) -> ObstacleSet:
         """The obstacles as stacked arrays."""
         return ObstacleSet.stack(self.obstacles, self.model.num_outputs)
+
+    def known_from(self) -> Array:
+        """When each obstacle is known whatever the sensor sees, ``(o,)``, in s."""
+        unseen = 0.0 if self.sensing.range is None else math.inf
+        times = [o.known_from for o in self.obstacles]
+        return np.array([unseen if t is None else t for t in times], dtype=float)
+
+    def visible_obstacles(self, time: float, position: Array) -> BoolArray:
+        """Which obstacles can be known at a time and a place, ``(o,)``."""
+        return visible(
+            self.obstacle_set(),
+            known_from=self.known_from(),
+            sensing_range=self.sensing.range or 0.0,
+            time=time,
+            position=position,
+        )
+
+    def known_at_start(self) -> BoolArray:
+        """Which obstacles the first plan knows, ``(o,)``."""
+        position = self.start_state()[0] + self.initial_error_state()[0]
+        return self.visible_obstacles(0.0, position)
+
+    @property
+    def is_receding(self) -> bool:
+        """Whether there may be more plans than one."""
+        always = bool(self.known_at_start().all())
+        return self.planner.replan_period is not None or not always
+
+    def sensing_range_needed(self, velocity: Array | None = None) -> float:
+        """The range from which the vehicle can stop before any obstacle, in m.
+
+        `dtmpc_drake.sensing.range_needed` at the lowest bandwidth.  The delay is
+        twice what planning takes (it may just have begun when an obstacle
+        appears), two looks of the sensor, and one interval of the plan for every
+        derivative that must turn round.
+
+        Args:
+            velocity: of the vehicle, ``(m,)``; if left out, the speed limit along
+                all axes that obstacles look at, which no certified flight exceeds.
+        """
+        obstacles = self.obstacle_set()
+        if velocity is None:
+            seen = np.abs(obstacles.shape).max(axis=(0, 1), initial=0.0) > 0
+            velocity = self.limits.speed * seen
+        bandwidth, n = self.controller.bandwidth, self.model.order
+        interval = self.duration / self.planner.intervals
+        return range_needed(
+            model=self.planning_model(),
+            velocity=velocity,
+            bandwidth=bandwidth.fixed or bandwidth.min,
+            slope=self.slope(),
+            disturbance_bound=self.disturbance_bound(),
+            reaching_rate=self.controller.reaching_rate,
+            initial_boundary_layer=self.initial_boundary_layer(),
+            input_limit=self.limits.input,
+            delay=2 * self.planner.compute_delay
+            + 2 * self.sensing.period
+            + n * interval,
+        )
 
     def disturbance_bound(self) -> Array:
         """D, shape ``(m,)``."""
@@ -404,7 +487,10 @@ class Scenario:
             "controller.bandwidth.rate_max": (b.rate_max, "rad/s²"),
             "simulation.max_step_size": (self.simulation.max_step_size, "s"),
             "planner.time_budget": (self.planner.time_budget, "s"),
+            "sensing.period": (self.sensing.period, "s"),
         }
+        if self.sensing.range is not None:
+            positive["sensing.range"] = (self.sensing.range, "m")
         for i, slope in enumerate(c.slope):
             positive[f"controller.slope[{i}]"] = (slope, "1/s")
         for i, obstacle in enumerate(self.obstacles):
@@ -414,6 +500,21 @@ class Scenario:
                 positive[f"disturbance.{name}"] = (getattr(self.disturbance, name), "s")
         for field, (value, unit) in positive.items():
             _require(field, value, value > 0, f"greater than 0 {unit}")
+        for i, obstacle in enumerate(self.obstacles):
+            since, field = obstacle.known_from or 0.0, f"obstacles[{i}].known_from"
+            ok = 0 <= since < self.duration
+            _require(field, since, ok, f"in [0, duration = {self.duration:g}) s")
+        delay, again = self.planner.compute_delay, self.planner.replan_period
+        _require("planner.compute_delay", delay, delay >= 0, "at least 0 s")
+        if again is not None:
+            shortest = max(delay, self.sensing.period)
+            _require(
+                "planner.replan_period",
+                again,
+                again >= shortest,
+                f"at least {shortest:g} s, which planner.compute_delay and"
+                " sensing.period need",
+            )
         for i, bound in enumerate(self.disturbance.bound):
             field = f"disturbance.bound[{i}]"
             _require(field, bound, bound >= 0, "at least 0 m/s²")
@@ -529,6 +630,17 @@ class Scenario:
                     f"outside obstacles[{i}], tube included: it is"
                     f" {-clearance[i]:.3g} m too close (tube {_show(tube.round(3))} m)",
                 )
+        if self.sensing.range is not None and np.isinf(self.known_from()).any():
+            needed = self.sensing_range_needed()
+            reason = "to stop at the speed limit before what it senses"
+            if math.isinf(needed):
+                reason = "but the feedback leaves no input to brake with"
+            _require(
+                "sensing.range",
+                self.sensing.range,
+                self.sensing.range >= needed,
+                f"at least {needed:.4g} m, {reason}",
+            )
 
     def _smallest_final_tube(self) -> Array:
         """Ω(t_f) at the highest bandwidth and without model error.
@@ -783,6 +895,7 @@ __all__ = [
     "Planner",
     "Scenario",
     "ScenarioError",
+    "Sensing",
     "Simulation",
     "Sphere",
     "UniformHold",

@@ -132,6 +132,22 @@ def initial_stages(initial_error: Array, slope: Array) -> Array:
     )
 
 
+def stages_of_bounds(bounds: Array, slope: Array) -> Array:
+    """The cascade that gives bounds, the inverse of `cascade_bound`.
+
+    Args:
+        bounds: R_0 ... R_(n-1) of a tube, ``(n, m)``.
+        slope: λ, ``(m,)``.
+
+    Returns:
+        Y_0 ... Y_(n-2), and in the last row what the last bound would need.
+    """
+    stages = np.zeros_like(bounds)
+    for k, bound in enumerate(bounds):
+        stages[k] = bound - cascade_bound(stages[: k + 1], slope, k)
+    return stages
+
+
 def comparison_forcing(
     *,
     bandwidth: Array,

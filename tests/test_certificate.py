@@ -105,7 +105,7 @@ def integrated_bounds(result: PlanningResult, time):
     if not len(start):
         return plan.boundary_layer(time)[:, None]
     solution = solve_ivp(
-        rate, (time[0], time[-1]), start.ravel(), t_eval=time, rtol=1e-8, atol=1e-10
+        rate, (time[0], time[-1]), start.ravel(), t_eval=time, rtol=1e-11, atol=1e-12
     )
     found = []
     for t, flat in zip(time, solution.y.T, strict=True):
@@ -124,13 +124,15 @@ def test_the_enclosed_tube_holds_the_integrated_one_and_is_tight(result):
         result.plan, result.problem, longest=2e-3, velocity_slack=TOP_TOLERANCE
     )
     exact = integrated_bounds(result, time)
-    index = np.searchsorted(enclosure.time, time, side="right") - 1
-    index = np.minimum(index, len(enclosure.time) - 2)
+    index = np.searchsorted(enclosure.corridor.time, time, side="right") - 1
+    index = np.minimum(index, len(enclosure.corridor.time) - 2)
     above = enclosure.error_bound[index] - exact
     assert above.min() > -1e-7
     assert above[:, :-1].max(initial=0.0) < 5e-3
     assert above[:, -1].max() < 2e-2
-    reference = enclosure.reference.derivatives[index, : enclosure.error_bound.shape[1]]
+    reference = enclosure.corridor.reference.derivatives[
+        index, : enclosure.error_bound.shape[1]
+    ]
     off = np.abs(result.plan.reference(time)[:, :-1] - reference)
     assert (off <= enclosure.reference_radius[index] + 1e-12).all()
 

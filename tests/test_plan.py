@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from models_for_tests import make_problem, name_of, one_model_of_each_order
 
 from dtmpc_drake.models import Array, Model
-from dtmpc_drake.plan import Plan
+from dtmpc_drake.plan import Plan, join
 from dtmpc_drake.planning.transcription import Transcription
 
 seeds = st.integers(0, 2**32 - 1)
@@ -293,3 +294,44 @@ def test_a_plan_introduces_itself() -> None:
     text = repr(a_plan(one_model_of_each_order()[-1]))
     assert text.startswith("Plan(1.5 to 7.5 s, 9 intervals, order 3, 2 outputs")
     assert "rad/s" in text and "position tube at most" in text
+
+
+@each_order
+def test_a_part_of_a_plan_is_the_same_functions_of_time(model: Model) -> None:
+    plan = a_plan(model)
+    for start, end in ((2.03, 6.71), (plan.start_time, 3.0), (4.0, plan.end_time)):
+        part = plan.between(start, end)
+        assert (part.start_time, part.end_time) == (start, end)
+        time = np.linspace(start, end, 301)
+        for name in (
+            "reference",
+            "bandwidth",
+            "boundary_layer",
+            "boundary_layer_rate",
+            "error_bound",
+        ):
+            whole, cut = getattr(plan, name)(time), getattr(part, name)(time)
+            np.testing.assert_allclose(cut, whole, atol=1e-9, err_msg=name)
+
+
+@each_order
+def test_joined_plans_are_each_in_force_in_turn(model: Model) -> None:
+    plan = a_plan(model)
+    wider = dataclasses.replace(plan, bound_samples=2 * plan.bound_samples)
+    joined = join([plan, wider, plan], [plan.start_time, 3.3, 5.0])
+    assert (joined.start_time, joined.end_time) == (plan.start_time, plan.end_time)
+    time = plan.sample_times()
+    np.testing.assert_allclose(joined.reference(time), plan.reference(time), atol=1e-9)
+    np.testing.assert_allclose(joined.bandwidth(time), plan.bandwidth(time), atol=1e-9)
+    for start, end, expected in ((1.5, 3.29, plan), (3.3, 4.99, wider), (5, 7.5, plan)):
+        inside = np.linspace(start, end, 50)
+        np.testing.assert_allclose(
+            joined.error_bound(inside), expected.error_bound(inside), atol=1e-9
+        )
+
+
+def test_nothing_in_a_plan_can_be_changed_so_copies_are_shared() -> None:
+    plan = a_plan(one_model_of_each_order()[0])
+    assert copy.deepcopy(plan) is plan
+    with pytest.raises(ValueError, match="read-only"):
+        plan.coefficients[0] = 0.0

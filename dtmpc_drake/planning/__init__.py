@@ -3,10 +3,12 @@
 from dtmpc_drake.planning.certificate import Certificate, Margin, certify
 from dtmpc_drake.planning.planner import PlanningResult, plan, plan_problem
 from dtmpc_drake.planning.problem import Problem
+from dtmpc_drake.planning.replanning import Decision, replan, shortest_duration
 from dtmpc_drake.planning.scp import Iteration
 
 __all__ = [
     "Certificate",
+    "Decision",
     "Iteration",
     "Margin",
     "PlanningResult",
@@ -14,4 +16,6 @@ __all__ = [
     "certify",
     "plan",
     "plan_problem",
+    "replan",
+    "shortest_duration",
 ]

@@ -31,7 +31,7 @@ from dtmpc_drake.plan import Plan
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.planning.scp import Iteration, iterate_to_convergence
 from dtmpc_drake.planning.sides import NEITHER, Way, propose, sides_of
-from dtmpc_drake.planning.transcription import Transcription
+from dtmpc_drake.planning.transcription import Guess, Transcription
 from dtmpc_drake.scenario import Planner
 
 if TYPE_CHECKING:
@@ -153,7 +153,7 @@ class Solve(Protocol):
     """`planner.plan_problem`, without a search."""
 
     def __call__(
-        self, problem: Problem, settings: Planner, /, *, warm_start: Plan | None
+        self, problem: Problem, settings: Planner, /, *, warm_start: Guess | None
     ) -> PlanningResult:
         """Plans a problem."""
 
@@ -163,7 +163,7 @@ def plan_best_side(
     settings: Planner,
     solve: Solve,
     *,
-    warm_start: Plan | None = None,
+    warm_start: Guess | None = None,
     threads: int | None = None,
 ) -> PlanningResult:
     """Plans a problem on the best sides of its obstacles.

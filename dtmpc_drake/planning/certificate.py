@@ -14,7 +14,13 @@ import numpy as np
 
 from dtmpc_drake.models import Array, ConstantUncertainty
 from dtmpc_drake.plan import Plan
-from dtmpc_drake.planning.enclosure import Enclosure, Polynomial, enclose
+from dtmpc_drake.planning.enclosure import (
+    Corridor,
+    Enclosure,
+    Polynomial,
+    claimed_corridor,
+    enclose,
+)
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.tightening import input_bound, rate_bound
 
@@ -122,12 +128,12 @@ def certify(plan: Plan, problem: Problem) -> Certificate:
 
 def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Margin]:
     """Every margin by name."""
-    n, time = problem.model.order, enclosure.time[:-1]
-    middle = enclosure.reference.derivatives
+    n, corridor = problem.model.order, enclosure.corridor
+    time, middle = corridor.time[:-1], corridor.reference.derivatives
     radius = enclosure.reference_radius
     margins: dict[str, Margin] = {}
     if len(problem.obstacles):
-        margins["obstacles"] = _obstacle_margin(problem, enclosure)
+        margins["obstacles"] = _obstacle_margin(problem, corridor)
 
     # κ - Δ(x*), which is also K(x) - Δ(x), is a polynomial.
     layer_rate = enclosure.layer.derivatives[:, 1]
@@ -135,7 +141,7 @@ def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Ma
     switching = problem.disturbance_bound + problem.reaching_rate - layer_rate
     gain, gain_radius = switching + model_error, enclosure.layer.radius(1)
 
-    speed = problem.speed_limit - enclosure.reference.largest(1)
+    speed = problem.speed_limit - corridor.reference.largest(1)
     speed = speed - rate_bound(
         model=problem.model,
         reference=middle[:, :n],
@@ -147,7 +153,7 @@ def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Ma
     )
     margins["speed"] = _smallest(time, speed, "m/s", "axis")
     # The norm of y*^(n), which is linear, is largest at an end.
-    rise = enclosure.reference.half * middle[:, n + 1]
+    rise = corridor.reference.half * middle[:, n + 1]
     used = input_bound(
         model=problem.model,
         reference=middle[:, :n],
@@ -169,7 +175,8 @@ def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Ma
     margins["tube"] = _smallest(time, own.reshape(len(time), -1), "", "bound")
     ends = plan.reference(np.array([plan.start_time, plan.end_time]))[:, :n]
     wanted = np.stack([problem.start, problem.goal])
-    missing = np.abs(ends - wanted).max(axis=1)
+    # What is not a number is free.
+    missing = np.nan_to_num(np.abs(ends - wanted)).max(axis=1)
     times = np.array([plan.start_time, plan.end_time])
     margins["ends"] = _smallest(times, END_TOLERANCE - missing, "", "axis")
     if isinstance(problem.model, ConstantUncertainty):
@@ -190,8 +197,8 @@ def _bandwidth_margins(
     realises.
     """
     order, layer = problem.model.order, enclosure.layer
-    middle = enclosure.reference.derivatives[:, :order]
-    time, unit = enclosure.time[:-1], "rad/s"
+    middle = enclosure.corridor.reference.derivatives[:, :order]
+    time, unit = enclosure.corridor.time[:-1], "rad/s"
     constant = problem.disturbance_bound + problem.reaching_rate
 
     def excess(bandwidth: Array) -> tuple[Array, Array]:
@@ -228,28 +235,45 @@ def _smallest(time: Array, values: Array, unit: str, where: str) -> Margin:
     return Margin(float(values[row, column]), unit, float(time[row]), name)
 
 
-def _obstacle_margin(problem: Problem, enclosure: Enclosure) -> Margin:
+def clearance_ahead(plan: Plan, problem: Problem, start: float) -> Margin:
+    """The smallest distance of a certified plan's tube from obstacles, from then on.
+
+    Args:
+        plan: whose own tube is taken for granted.
+        problem: gives the obstacles, at least one; others than it was planned for.
+        start: in s.
+    """
+    corridor = claimed_corridor(plan, longest=INTERVALS[0], slack=TUBE_TOLERANCE)
+    return _obstacle_margin(problem, corridor, start)
+
+
+def _obstacle_margin(
+    problem: Problem, corridor: Corridor, after: float = -np.inf
+) -> Margin:
     """Clearance of the tube, for all times: branch and bound.
 
     An interval is as long as a step of the plan's own tube; those on which the
-    bound is negative are halved, down to those of the enclosure.
+    bound is negative are halved, down to those of the corridor.
     """
-    stride = enclosure.parts
-    start: Array = np.arange(0, len(enclosure.time) - 1, stride)
+    stride = corridor.parts
+    start: Array = np.arange(0, len(corridor.time) - 1, stride)
+    start = start[corridor.time[start + stride] > after]
     found: list[Margin] = []
     while len(start):
-        values = _clearance_bounds(problem, enclosure, start, stride)
+        values = _clearance_bounds(problem, corridor, start, stride)
         open_ = (values < 0).any(axis=1) & (stride > 1)
         if not open_.all():
-            time = enclosure.time[start[~open_]]
-            found.append(_smallest(time, values[~open_], "m", "obstacle"))
+            time = corridor.time[start[~open_]]
+            margin = _smallest(time, values[~open_], "m", "")
+            nearest = problem.obstacles.index[values[~open_].min(axis=0).argmin()]
+            found.append(dataclasses.replace(margin, where=f"obstacle {nearest}"))
         stride //= 2
         start = (start[open_, None] + [0, stride]).ravel()
     return min(found, key=lambda margin: margin.value)
 
 
 def _clearance_bounds(
-    problem: Problem, enclosure: Enclosure, start: Array, stride: int
+    problem: Problem, corridor: Corridor, start: Array, stride: int
 ) -> Array:
     """Lower bounds of the clearance on some intervals, by half-planes.
 
@@ -259,7 +283,7 @@ def _clearance_bounds(
 
     Args:
         problem: gives the obstacles.
-        enclosure: of the plan.
+        corridor: of the plan.
         start: indices into its times, ``(q,)``.
         stride: how many of its intervals make one of these.
 
@@ -268,8 +292,8 @@ def _clearance_bounds(
     """
     obstacles = problem.obstacles
     ends = np.stack([start, start + stride])
-    offset = obstacles.offsets(enclosure.reference.at_ends()[ends])
-    tube = enclosure.position_tube[ends]
+    offset = obstacles.offsets(corridor.reference.at_ends()[ends])
+    tube = corridor.position_tube[ends]
     normal = offset.mean(axis=0)
     if problem.tube_margin == "support":
         # Any normal is valid; that of the nearest point of the tube is the best.
@@ -285,7 +309,7 @@ def _clearance_bounds(
     bound = ((normal * offset).sum(axis=-1) - size).min(axis=0)
 
     inner = start[:, None] + np.arange(stride)
-    bend = enclosure.reference.largest(2) + enclosure.position_bend
-    leave = (stride * enclosure.step) ** 2 / 8 * bend[inner].max(axis=1)
+    bend = corridor.reference.largest(2) + corridor.position_bend
+    leave = (stride * corridor.step) ** 2 / 8 * bend[inner].max(axis=1)
     sag = np.linalg.norm(obstacles.tube_radii(leave), axis=-1)
     return np.asarray(bound - obstacles.radius - sag)

@@ -87,38 +87,51 @@ class Polynomial:
 
 
 @dataclasses.dataclass(frozen=True)
-class Enclosure:
-    """Bounds along a plan on K equal intervals.
+class Corridor:
+    """Where a plan may be on K equal intervals.
 
     Attributes:
         time: where intervals meet, ``(K + 1,)``, in s.
         parts: intervals in each step of the plan's own tube, a power of two.
         reference: y*.
-        reference_radius: how far x* leaves its value at the middle, ``(K, n, m)``.
-        layer: Φ*.
         position_tube: Ω where intervals meet, ``(K + 1, m)``.
         position_bend: a bound of ``|d²Ω/dt²|``, ``(K, m)``.
-        error_bound: bounds of ``|ỹ^(k)|`` all along, ``(K, n, m)``.
-        claim_excess: how far the plan's own bounds lie above those proven here,
-            at least, ``(K, n, m)``; negative where below.
     """
 
     time: Array
     parts: int
     reference: Polynomial
-    reference_radius: Array
-    layer: Polynomial
     position_tube: Array
     position_bend: Array
-    error_bound: Array
-    claim_excess: Array
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
     @property
     def step(self) -> float:
         """Length of an interval, in s."""
-        return 2 * self.layer.half
+        return 2 * self.reference.half
+
+
+@dataclasses.dataclass(frozen=True)
+class Enclosure:
+    """Bounds along a plan on K equal intervals.
+
+    Attributes:
+        corridor: the intervals, y* and Ω.
+        reference_radius: how far x* leaves its value at the middle, ``(K, n, m)``.
+        layer: Φ*.
+        error_bound: bounds of ``|ỹ^(k)|`` all along, ``(K, n, m)``.
+        claim_excess: how far the plan's own bounds lie above those proven here,
+            at least, ``(K, n, m)``; negative where below.
+    """
+
+    corridor: Corridor
+    reference_radius: Array
+    layer: Polynomial
+    error_bound: Array
+    claim_excess: Array
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
 
 
 def enclose(
@@ -141,30 +154,10 @@ def enclose(
         ValueError: if the plan's grids are not uniform, one within the other.
     """
     n = problem.model.order
-    pieces, steps = len(plan.knots) - 1, len(plan.tube_times) - 1
-    span = plan.end_time - plan.start_time
-    uniform = plan.start_time + span * np.arange(steps + 1) / steps
-    if (
-        steps % pieces
-        or not np.allclose(plan.tube_times, uniform, rtol=0, atol=1e-9 * span)
-        or not np.allclose(plan.knots, uniform[:: steps // pieces], 0, 1e-9 * span)
-    ):
-        raise ValueError("a plan's knots must be equally spaced, and so its tube")
-    parts = 1
-    while span / steps / parts > longest:
-        parts *= 2
-    h = span / steps / parts
-
-    reference = Polynomial.on_intervals(
-        plan.coefficients, span / pieces, steps // pieces * parts
-    )
-
-    def hermite(value: Array, rate: Array) -> Polynomial:
-        return Polynomial.on_intervals(
-            _hermite_powers(value, rate, span / steps), span / steps, parts
-        )
-
+    pieces = _Pieces.of(plan, longest)
+    h, reference, hermite = pieces.step, pieces.reference(), pieces.hermite
     layer = hermite(plan.layer_samples[:, 0], plan.layer_samples[:, 1])
+
     # The cascade.  Its rates are filtered too, so they are bounded in turn.
     stages, rates = propagate_cascade(
         boundary_layer=layer.at_ends(),
@@ -212,16 +205,97 @@ def enclose(
         for a, c in zip(proven, claimed, strict=True)
     ]
     return Enclosure(
-        time=plan.start_time + h * np.arange(steps * parts + 1),
-        parts=parts,
-        reference=reference,
+        corridor=Corridor(
+            time=pieces.times(),
+            parts=pieces.parts,
+            reference=reference,
+            position_tube=stages[:, 0],
+            position_bend=curvature[:, 0],
+        ),
         reference_radius=np.stack([reference.radius(k) for k in range(n)], axis=1),
         layer=layer,
-        position_tube=stages[:, 0],
-        position_bend=curvature[:, 0],
         error_bound=np.stack([arc.highest(h) for arc in proven], axis=1),
         claim_excess=np.stack(excess, axis=1),
     )
+
+
+def claimed_corridor(plan: Plan, *, longest: float, slack: float) -> Corridor:
+    """The tube that a certified plan carries, made wider by what it may lack.
+
+    Args:
+        plan: whose own tube is taken for granted.
+        longest: interval, in s.
+        slack: what is added to Ω, in m.
+
+    Raises:
+        ValueError: if the plan's grids are not uniform, one within the other.
+    """
+    pieces = _Pieces.of(plan, longest)
+    tube = pieces.hermite(plan.bound_samples[:, 0], plan.bound_rate_samples[:, 0])
+    return Corridor(
+        time=pieces.times(),
+        parts=pieces.parts,
+        reference=pieces.reference(),
+        position_tube=tube.at_ends() + slack,
+        position_bend=tube.largest(2),
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Pieces:
+    """How a plan's pieces are cut into intervals.
+
+    Attributes:
+        plan: that is cut.
+        parts: of each step of its own tube, a power of two.
+    """
+
+    plan: Plan
+    parts: int
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    @classmethod
+    def of(cls, plan: Plan, longest: float) -> _Pieces:
+        pieces, steps = len(plan.knots) - 1, len(plan.tube_times) - 1
+        span = plan.end_time - plan.start_time
+        uniform = plan.start_time + span * np.arange(steps + 1) / steps
+        if (
+            steps % pieces
+            or not np.allclose(plan.tube_times, uniform, rtol=0, atol=1e-9 * span)
+            or not np.allclose(plan.knots, uniform[:: steps // pieces], 0, 1e-9 * span)
+        ):
+            raise ValueError("a plan's knots must be equally spaced, and so its tube")
+        parts = 1
+        while span / steps / parts > longest:
+            parts *= 2
+        return cls(plan, parts)
+
+    @property
+    def tube_step(self) -> float:
+        span = self.plan.end_time - self.plan.start_time
+        return span / (len(self.plan.tube_times) - 1)
+
+    @property
+    def step(self) -> float:
+        return self.tube_step / self.parts
+
+    def times(self) -> Array:
+        count = (len(self.plan.tube_times) - 1) * self.parts
+        return np.asarray(self.plan.start_time + self.step * np.arange(count + 1))
+
+    def reference(self) -> Polynomial:
+        tube_steps = (len(self.plan.tube_times) - 1) // (len(self.plan.knots) - 1)
+        return Polynomial.on_intervals(
+            self.plan.coefficients,
+            self.tube_step * tube_steps,
+            tube_steps * self.parts,
+        )
+
+    def hermite(self, value: Array, rate: Array) -> Polynomial:
+        """What the samples of the plan's own tube stand for."""
+        powers = _hermite_powers(value, rate, self.tube_step)
+        return Polynomial.on_intervals(powers, self.tube_step, self.parts)
 
 
 @dataclasses.dataclass(frozen=True)

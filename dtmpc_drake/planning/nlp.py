@@ -64,7 +64,8 @@ class _Program:
         state = np.stack(knots[:n], axis=1)
         for k in range(n):
             self._rows(knots[k][0] - p.start[k], 0.0, 0.0)
-            self._rows(knots[k][-1] - p.goal[k], 0.0, 0.0)
+            if np.isfinite(p.goal[k]).all():
+                self._rows(knots[k][-1] - p.goal[k], 0.0, 0.0)
         if p.start_highest is not None:
             self._rows(knots[n][0] - p.start_highest, 0.0, 0.0)
         if p.start_bandwidth is not None:

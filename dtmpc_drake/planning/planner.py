@@ -28,7 +28,7 @@ from dtmpc_drake.planning.scp import (
     Result,
     iterate_to_convergence,
 )
-from dtmpc_drake.planning.transcription import Iterate, Transcription
+from dtmpc_drake.planning.transcription import Guess, Iterate, Transcription
 from dtmpc_drake.scenario import Planner, Scenario
 
 Status = Literal["certified", "not_certified", "infeasible", "failed"]
@@ -161,14 +161,15 @@ def plan_problem(
     settings: Planner,
     *,
     report: Callable[[Iteration], None] | None = None,
-    warm_start: Plan | None = None,
+    warm_start: Guess | None = None,
 ) -> PlanningResult:
     """Plans any problem, such as one that starts on the way; see `plan`.
 
     With ``initial_guess: best_side`` a certified plan from `warm_start` is kept
     unless another side is clearly cheaper; see `best_side`.
     """
-    if settings.initial_guess == "best_side":
+    # A goal that is free has no sides to pass on the way.
+    if settings.initial_guess == "best_side" and np.isfinite(problem.goal).all():
         best = plan_best_side(problem, settings, plan_problem, warm_start=warm_start)
         if report is not None:
             for iteration in best.history:
@@ -217,7 +218,7 @@ def plan_problem(
 
 
 def _first_decisions(
-    transcription: Transcription, warm_start: Plan | None
+    transcription: Transcription, warm_start: Guess | None
 ) -> tuple[Array, Array]:
     if warm_start is None:
         return transcription.straight_line()
@@ -228,7 +229,7 @@ def _sequential_convex(
     problem: Problem,
     settings: Planner,
     *,
-    warm_start: Plan | None,
+    warm_start: Guess | None,
     report: Callable[[Iteration], None],
 ) -> tuple[Transcription, Result]:
     """Coarse grids first: a step there costs half, and refining is exact.
@@ -311,7 +312,8 @@ def _limits(transcription: Transcription, iterate: Iterate) -> str:
     if planes.margin.size and planes.margin.min() < 0:
         row, point = np.unravel_index(planes.margin.argmin(), planes.margin.shape)
         when = knots[planes.piece[row]] + tr.step * point / tr.control_degree
-        text = f"obstacle {planes.obstacle[row]} by {-planes.margin.min():.3f} m"
+        obstacle = tr.problem.obstacles.index[planes.obstacle[row]]
+        text = f"obstacle {obstacle} by {-planes.margin.min():.3f} m"
         found.append((-planes.margin.min(), f"{text} at t = {when:.2f} s"))
     worst = -iterate.speed_margin.min()
     if worst > 0:

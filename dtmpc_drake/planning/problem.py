@@ -10,6 +10,7 @@ import numpy as np
 from dtmpc_drake.models import Array, Model
 from dtmpc_drake.obstacles import ObstacleSet
 from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.sensing import BoolArray
 from dtmpc_drake.tube import VelocityBound
 
 
@@ -30,8 +31,8 @@ class Problem:
         input_weight, bandwidth_weight: Q and R.
         bandwidth_floor: α̲ in the cost's α̃ = α - α̲.
         start_time, duration: in s.
-        start, goal: x* at both ends, ``(n, m)``.
-        initial_error: bounds of ``|x̃(t0)|``, ``(n, m)``.
+        start, goal: x* at both ends, ``(n, m)``; a row of NaN in the goal is free.
+        initial_error: x̃(t0), or bounds of its size, ``(n, m)``.
         initial_boundary_layer: Φ(t0), ``(m,)``.
         tube_margin: ``norm`` or ``support``.
         velocity_bound: ``comparison`` or ``paper``.
@@ -66,8 +67,18 @@ class Problem:
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
     @classmethod
-    def from_scenario(cls, scenario: Scenario) -> Problem:
-        """The problem at the start of a scenario."""
+    def from_scenario(
+        cls, scenario: Scenario, known: BoolArray | None = None
+    ) -> Problem:
+        """The problem at the start of a scenario.
+
+        Args:
+            scenario: the whole experiment.
+            known: which obstacles to stay clear of, ``(o,)``; those that are known
+                at the start if left out.
+        """
+        if known is None:
+            known = scenario.known_at_start()
         model = scenario.planning_model()
         bandwidth = scenario.controller.bandwidth
         low, high = bandwidth.min, bandwidth.max
@@ -79,7 +90,7 @@ class Problem:
         )
         return cls(
             model=model,
-            obstacles=scenario.obstacle_set(),
+            obstacles=scenario.obstacle_set().subset(known),
             slope=scenario.slope(),
             disturbance_bound=scenario.disturbance_bound(),
             reaching_rate=scenario.controller.reaching_rate,

@@ -241,7 +241,9 @@ class Program:
         n, m, local = tr.order, tr.outputs, iterate.local
         layer = slice((n + 1) * m, (n + 2) * m)
         wanted = [(0, slice(0, n * m), (p.start - local.state[0]).ravel())]
-        wanted.append((-1, slice(0, n * m), (p.goal - local.state[-1]).ravel()))
+        for k in tr.goal_rows:
+            missing = p.goal[k] - local.state[-1, k]
+            wanted.append((-1, slice(k * m, (k + 1) * m), missing))
         if p.start_highest is not None:
             highest = slice(n * m, (n + 1) * m)
             wanted.append((0, highest, p.start_highest - local.highest[0]))
@@ -595,6 +597,8 @@ class Program:
         coefficients = iterate.coefficients + z[v.blocks["coefficients"]].reshape(
             -1, tr.outputs
         )
+        # The solver is a little off, but plans must join exactly.
+        coefficients = tr.with_ends(coefficients)
         if tr.problem.bandwidth_is_fixed:
             return coefficients, iterate.bandwidth
         local = Local.unpack(iterate.local.pack() + v.local(z), tr.order, tr.outputs)

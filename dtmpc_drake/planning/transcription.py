@@ -13,13 +13,14 @@ be right to first order around it; no discretisation error is left in a plan.
 from __future__ import annotations
 
 import dataclasses
-from typing import ClassVar
+from functools import cached_property
+from typing import ClassVar, Protocol
 
 import numpy as np
 import scipy.sparse.linalg
 
 from dtmpc_drake.models import Array, ConstantUncertainty
-from dtmpc_drake.plan import Plan
+from dtmpc_drake.plan import FloatArray, Plan
 from dtmpc_drake.planning import splines
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.tightening import input_bound, rate_bound
@@ -38,6 +39,18 @@ BLEND = 0.125
 TUBE_STEPS = (8, 16)
 """Steps of the tube in each interval, at least, where Δ is constant and where it
 varies (and may have kinks); the half grid has twice as many."""
+
+
+class Guess(Protocol):
+    """What iterations may start from: an earlier plan, or what looks like one."""
+
+    def reference(self, time: FloatArray | float) -> FloatArray:
+        """See `Plan.reference`; only the position is looked at."""
+        ...
+
+    def bandwidth(self, time: FloatArray | float) -> FloatArray:
+        """See `Plan.bandwidth`."""
+        ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -197,7 +210,8 @@ class Transcription:
         count = self.intervals + self.degree
         # Greville abscissae reproduce linear functions exactly.
         greville = (np.arange(count) - (self.degree - 1) / 2) / self.intervals
-        line = p.start[0] + greville[:, None] * (p.goal[0] - p.start[0])
+        way = np.nan_to_num(p.goal[0] - p.start[0])  # a free end stays where it is
+        line = p.start[0] + greville[:, None] * way
         alpha = np.broadcast_to(self.bandwidth_high, (self.intervals + 1, self.outputs))
         return self.with_ends(line), self.feasible_bandwidth(alpha)
 
@@ -213,7 +227,7 @@ class Transcription:
         alpha = np.broadcast_to(self.bandwidth_high, (self.intervals + 1, self.outputs))
         return self._nearest(wanted), self.feasible_bandwidth(alpha)
 
-    def from_plan(self, plan: Plan) -> tuple[Array, Array]:
+    def from_plan(self, plan: Guess) -> tuple[Array, Array]:
         """The decisions nearest to an earlier plan, from now to its end."""
         grid = self.knots[0] + self.step * np.arange(2 * self.intervals + 1) / 2
         alpha = self.feasible_bandwidth(plan.bandwidth(self.knots))
@@ -234,30 +248,54 @@ class Transcription:
         Nearest in the highest derivative, with only the first and last part of
         the way changed, so that a shifted end leaves the rest where it was.
         """
-        p, count = self.problem, len(coefficients)
-        conditions = np.vstack(
-            [self._end_conditions(0), self._end_conditions(self.intervals)]
+        conditions, wanted, free, correction = self._ends
+        result = coefficients.copy()
+        for _ in range(2):  # the second time takes off what rounding left
+            result[free] += correction @ (wanted - conditions @ result)
+        return result
+
+    @property
+    def goal_rows(self) -> list[int]:
+        """The derivatives that the goal prescribes."""
+        return [k for k, row in enumerate(self.problem.goal) if np.isfinite(row).all()]
+
+    @cached_property
+    def _ends(self) -> tuple[Array, Array, Array, Array]:
+        """What the ends ask of the coefficients, and how these may answer.
+
+        Returns:
+            Conditions ``(rows, N + degree)`` and their values ``(rows, m)``; the
+            indices of the coefficients that may change, and how they change with
+            what is missing, ``(free, rows)``.
+        """
+        p, count = self.problem, self.intervals + self.degree
+        goal = self.goal_rows
+        start = [*p.start] + ([] if p.start_highest is None else [p.start_highest])
+        conditions = np.concatenate(
+            [
+                self._end_conditions(0)[: len(start)],
+                self._end_conditions(self.intervals)[goal],
+            ]
         )
-        missing = np.vstack([p.start, p.goal]) - conditions @ coefficients
+        wanted = np.concatenate([start, p.goal[goal]])
         part = min(int(BLEND * self.intervals) + 2 * self.order, count // 2)
         free = np.r_[:part, count - part : count]
         highest = splines.knot_operator(
             self.intervals, self.degree, self.order, 1.0
         ).toarray()[:, free]
-        conditions = conditions[:, free]
-        size, rows = len(free), len(conditions)
+        changed = conditions[:, free]
+        size, rows = len(free), len(changed)
         system = np.zeros((size + rows, size + rows))
         system[:size, :size] = highest.T @ highest
-        system[:size, size:] = conditions.T
-        system[size:, :size] = conditions
-        right = np.concatenate([np.zeros((size, self.outputs)), missing])
-        result = coefficients.copy()
-        result[free] += np.linalg.solve(system, right)[:size]
-        return result
+        system[:size, size:] = changed.T
+        system[size:, :size] = changed
+        right = np.concatenate([np.zeros((size, rows)), np.eye(rows)])
+        return conditions, wanted, free, np.linalg.solve(system, right)[:size]
 
     def _end_conditions(self, knot: int) -> Array:
-        rows = np.zeros((self.order, self.intervals + self.degree))
-        for k in range(self.order):
+        """Every derivative up to the n-th at the first or last knot."""
+        rows = np.zeros((self.order + 1, self.intervals + self.degree))
+        for k in range(self.order + 1):
             start = splines.basis(self.degree, k, np.zeros(1), self.step)[0]
             rows[k, knot : knot + self.degree] = start[: self.degree]
         return rows

@@ -2,6 +2,7 @@
 
 from dtmpc_drake.systems.disturbance import MakeDisturbance, SeedTrials
 from dtmpc_drake.systems.dtmpc_planner import DtmpcPlanner, hold_plan
+from dtmpc_drake.systems.obstacle_sensor import ObstacleSensor
 from dtmpc_drake.systems.plant import Plant, Plant_
 from dtmpc_drake.systems.relay import Relay
 from dtmpc_drake.systems.sliding_error import SlidingError
@@ -12,6 +13,7 @@ from dtmpc_drake.systems.tube_monitor import TubeMonitor, tube_ratios
 __all__ = [
     "DtmpcPlanner",
     "MakeDisturbance",
+    "ObstacleSensor",
     "Plant",
     "Plant_",
     "Relay",

@@ -1,8 +1,10 @@
-"""The planner as a system: it plans when the simulation starts."""
+"""The planner as a system: it plans at the start of a simulation and on the way."""
 
 from __future__ import annotations
 
-from typing import Any
+import dataclasses
+from time import perf_counter
+from typing import Any, ClassVar
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
@@ -10,9 +12,13 @@ from pydrake.systems.framework import EventStatus, LeafSystem
 
 from dtmpc_drake import tube
 from dtmpc_drake.plan import Plan
-from dtmpc_drake.planning import plan as make_plan
+from dtmpc_drake.planning import Problem, plan_problem, replan, shortest_duration
+from dtmpc_drake.planning.transcription import HAIR
+from dtmpc_drake.replan import Replan
 from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.sensing import BoolArray
 from dtmpc_drake.sliding import sliding_variable
+from dtmpc_drake.systems.obstacle_sensor import EvalMeasuredObstacles
 
 _HOLD_STEPS = 400
 
@@ -21,7 +27,7 @@ def hold_plan(scenario: Scenario) -> Plan:
     """A reference that rests at the start, with the tube that is true for it.
 
     It is what is flown where no certified plan exists.  The bandwidth is the
-    highest allowed, and the tube starts from the plant's actual error, its
+    highest that plans use, and the tube starts from the plant's actual error, its
     velocity included, so the plant does stay inside it.  Nobody has checked
     that tube against obstacles or the input limit: it is not certified.
     """
@@ -32,7 +38,8 @@ def hold_plan(scenario: Scenario) -> Plan:
     rest[0] = start[0]
     error = start + scenario.initial_error_state() - rest[:n]
     slope, bandwidth = scenario.slope(), scenario.controller.bandwidth
-    highest = np.full(m, bandwidth.fixed or bandwidth.max)
+    # A hair inside the limit, where plans may go on from it.
+    highest = np.full(m, bandwidth.fixed or bandwidth.max * (1 - HAIR))
     layer = np.maximum(
         scenario.initial_boundary_layer(), np.abs(sliding_variable(error, slope))
     )
@@ -64,8 +71,28 @@ def hold_plan(scenario: Scenario) -> Plan:
     )
 
 
+@dataclasses.dataclass(frozen=True)
+class _Memory:
+    """What a planner remembers beside its plan; never changed, only replaced.
+
+    Attributes:
+        replans: all that took effect, in order.
+        pending: one that will, at its hand-over.
+        known: the obstacles that the latest of them has looked at, ``(o,)``.
+    """
+
+    replans: tuple[Replan, ...]
+    pending: Replan | None
+    known: BoolArray
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> _Memory:
+        return self
+
+
 class DtmpcPlanner(LeafSystem):
-    """Plans trajectory and tube of a scenario in an initialization event.
+    """Plans trajectory and tube of a scenario at the start and on the way.
 
     .. pydrake_system::
 
@@ -76,16 +103,31 @@ class DtmpcPlanner(LeafSystem):
         output_ports:
         - plan
         - status
+        - replans
 
     `plan` is abstract and always holds a `Plan`; `status` is an abstract text:
     ``certified``, ``given`` for a plan from the constructor, or why there is
     none (such as ``infeasible: ...``).  Without a certified plan, and before
     the initialization event, `plan` is `hold_plan`, and no exception is raised.
+    `replans` holds a tuple of `Replan`, one for every time that was planned.
 
-    Both outputs are abstract state, so there is no feedthrough from the inputs
-    and a plan only changes in events.  One plan is made from the scenario, at
-    the start; the inputs (the plant's state, and what a sensor knows of the
-    obstacles) are where plans on the way take their beginning from.
+    All outputs are abstract state, so there is no feedthrough from the inputs
+    and a plan only changes in events.  The first one, from the obstacles that
+    `measured_obstacles` knows then (those that the scenario says, if it is not
+    connected), is made in the initialization event.
+
+    If the scenario asks for it (`Scenario.is_receding`), the planner looks at its
+    inputs every `sensing.period`.  It plans again every `planner.replan_period`,
+    and at once when there is a new obstacle; see `planning.replanning.replan` for
+    what it decides.  The outcome takes effect `planner.compute_delay` later, at the
+    next look: until then the old plan is flown, and nothing else is begun.  Where
+    too little time is left for a plan to the goal (`shortest_duration`), only new
+    obstacles count.  Once the outcome is in effect `status` is ``certified``,
+    ``kept: ...``, ``braking: ...`` or ``unsafe: ...``; see `Replan`.
+
+    With `ObstacleSensor` and a range of `Scenario.sensing_range_needed` there is a
+    way to rest before every obstacle when it becomes known; the planner finds it by
+    optimisation, from a few starts, and says ``unsafe`` if it does not.
     """
 
     def __init__(self, *, scenario: Scenario, plan: Plan | None = None) -> None:
@@ -93,33 +135,160 @@ class DtmpcPlanner(LeafSystem):
 
         Args:
             scenario: to plan.
-            plan: to use as it is instead of planning.
+            plan: to use as it is instead of planning at the start.
         """
         LeafSystem.__init__(self)
         self._scenario = scenario
-        size = scenario.model.order * scenario.model.num_outputs
-        self._state = self.DeclareVectorInputPort("state", size)
+        n, m = scenario.model.order, scenario.model.num_outputs
+        self._shape = (n, m)
+        self._state = self.DeclareVectorInputPort("state", n * m)
         self._measured_obstacles = self.DeclareAbstractInputPort(
             "measured_obstacles", Value[object]()
         )
         first = hold_plan(scenario) if plan is None else plan
         status = "not planned yet" if plan is None else "given"
+        memory = _Memory((), None, scenario.known_at_start())
+        if plan is not None:
+            memory = dataclasses.replace(memory, replans=(_given(plan),))
         self._plan_state = self.DeclareAbstractState(Value[object](first))
         self._status_state = self.DeclareAbstractState(AbstractValue.Make(status))
+        self._memory_state = self.DeclareAbstractState(Value[object](memory))
         self.DeclareStateOutputPort("plan", self._plan_state)
         self.DeclareStateOutputPort("status", self._status_state)
+        self.DeclareAbstractOutputPort(
+            "replans",
+            lambda: Value[object](),
+            self._calc_replans,
+            prerequisites_of_calc={self.abstract_state_ticket(self._memory_state)},
+        )
         if plan is None:
             # An event, so that loggers see the plan from the first instant on.
-            self.DeclareInitializationUnrestrictedUpdateEvent(self._plan_once)
+            self.DeclareInitializationUnrestrictedUpdateEvent(self._plan_first)
+        if scenario.is_receding:
+            # Half a period after the sensor, whose news it would miss otherwise.
+            period = scenario.sensing.period
+            self.DeclarePeriodicUnrestrictedUpdateEvent(period, period / 2, self._look)
 
-    def _plan_once(self, context: Any, state: Any) -> EventStatus:
-        result = make_plan(self._scenario)
+    def _calc_replans(self, context: Any, output: Any) -> None:
+        output.set_value(self._memory(context).replans)
+
+    def _memory(self, context: Any) -> _Memory:
+        memory: _Memory = context.get_abstract_state(
+            int(self._memory_state)
+        ).get_value()
+        return memory
+
+    def _set(self, state: Any, index: Any, value: Any) -> None:
+        state.get_mutable_abstract_state(int(index)).set_value(value)
+
+    def _known(self, context: Any) -> BoolArray:
+        return EvalMeasuredObstacles(self._measured_obstacles, context, self._scenario)
+
+    def _plan_first(self, context: Any, state: Any) -> EventStatus:
+        known = self._known(context)
+        begin = perf_counter()
+        result = plan_problem(
+            Problem.from_scenario(self._scenario, known), self._scenario.planner
+        )
         status: str = result.status
-        if result.certified:
-            state.get_mutable_abstract_state(int(self._plan_state)).set_value(
-                result.plan
-            )
-        else:
+        plan = result.plan
+        if not result.certified or plan is None:
             status = f"{status}: {result.message}"
-        state.get_mutable_abstract_state(int(self._status_state)).set_value(status)
+            plan = self._memory_plan(context)
+        first = Replan(
+            time=0.0,
+            hand_over=0.0,
+            cause="start",
+            revealed=(),
+            status=result.status,
+            message=result.message,
+            iterations=len(result.history),
+            cost=result.cost,
+            plan=plan,
+            solve_time=perf_counter() - begin,
+        )
+        self._set(state, self._plan_state, plan)
+        self._set(state, self._status_state, status)
+        self._set(state, self._memory_state, _Memory((first,), None, known))
         return EventStatus.Succeeded()
+
+    def _memory_plan(self, context: Any) -> Plan:
+        plan: Plan = context.get_abstract_state(int(self._plan_state)).get_value()
+        return plan
+
+    def _look(self, context: Any, state: Any) -> EventStatus:
+        """Takes a pending plan over, or begins with a new one."""
+        period, time = self._scenario.sensing.period, context.get_time()
+        before = memory = self._memory(context)
+        plan = self._memory_plan(context)
+        pending = memory.pending
+        if pending is not None and time >= pending.hand_over - period / 2:
+            if pending.plan is not None:
+                plan = pending.plan
+                self._set(state, self._plan_state, plan)
+            status: str = pending.status
+            if status != "certified":
+                status = f"{status}: {pending.message}"
+            self._set(state, self._status_state, status)
+            replans = (*memory.replans, pending)
+            memory = dataclasses.replace(memory, replans=replans, pending=None)
+        if memory.pending is None:
+            known = self._known(context)
+            revealed = np.flatnonzero(known & ~memory.known)
+            cause = "revealed" if len(revealed) else self._due(time)
+            if cause is not None:
+                outcome = self._replan(context, plan, known, revealed, cause)
+                memory = dataclasses.replace(memory, pending=outcome, known=known)
+        if memory is before:
+            return EventStatus.DidNothing()
+        self._set(state, self._memory_state, memory)
+        return EventStatus.Succeeded()
+
+    def _due(self, time: float) -> str | None:
+        """Whether a periodic plan is due, and makes sense."""
+        again = self._scenario.planner.replan_period
+        period = self._scenario.sensing.period
+        if again is None:
+            return None
+        left = self._scenario.duration - self._hand_over(time)
+        if left < shortest_duration(self._scenario):
+            return None
+        look, every = int(time / period), max(1, round(again / period))
+        return "period" if look > 0 and look % every == 0 else None
+
+    def _hand_over(self, time: float) -> float:
+        """The first look when a plan that is begun now is ready."""
+        period = self._scenario.sensing.period
+        looks = np.ceil(self._scenario.planner.compute_delay / period - 1e-9)
+        return time + max(1.0, float(looks)) * period
+
+    def _replan(
+        self, context: Any, plan: Plan, known: BoolArray, revealed: Any, cause: str
+    ) -> Replan:
+        begin, time = perf_counter(), context.get_time()
+        hand_over = self._hand_over(time)
+        decision = replan(
+            self._scenario,
+            plan,
+            known=known,
+            measured_at=time,
+            state=self._state.Eval(context).reshape(self._shape),
+            start=hand_over,
+        )
+        return Replan(
+            time=time,
+            hand_over=hand_over,
+            cause=cause,
+            revealed=tuple(int(i) for i in revealed),
+            status=decision.status,
+            message=decision.message,
+            iterations=decision.iterations,
+            cost=decision.cost,
+            plan=decision.plan,
+            solve_time=perf_counter() - begin,
+        )
+
+
+def _given(plan: Plan) -> Replan:
+    """The record of a plan that nobody here made."""
+    return Replan(0.0, 0.0, "start", (), "given", "", 0, None, plan, 0.0)

@@ -3,6 +3,7 @@
 from dtmpc_drake.visualization.candidates import plot_candidates
 from dtmpc_drake.visualization.cloud import plot_quantiles
 from dtmpc_drake.visualization.figures import plot_histories, plot_plan
+from dtmpc_drake.visualization.receding import plot_receding_horizon, plot_replans
 from dtmpc_drake.visualization.replay import write_replay
 
 __all__ = [
@@ -10,5 +11,7 @@ __all__ = [
     "plot_histories",
     "plot_plan",
     "plot_quantiles",
+    "plot_receding_horizon",
+    "plot_replans",
     "write_replay",
 ]

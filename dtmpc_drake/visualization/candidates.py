@@ -16,7 +16,14 @@ from matplotlib.patches import Patch
 from dtmpc_drake.plan import FloatArray, Plan
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.visualization.figures import View
-from dtmpc_drake.visualization.style import BLACK, EDGE, GREY, LIGHT_GREY, PALE_BLUE
+from dtmpc_drake.visualization.style import (
+    BLACK,
+    EDGE,
+    GREY,
+    LIGHT_GREY,
+    PALE_BLUE,
+    Coloring,
+)
 
 _WIDTH = 10.0  # of the figure, in inches
 _MOST = 32  # candidates that have a bar
@@ -81,7 +88,9 @@ def plot_candidates(
     """
     if plan.num_outputs < 2:
         raise ValueError("plan: one output only, so there are no sides to draw")
-    view = View.from_above(scenario, plan, [], "bandwidth")
+    samples = plan.sample()
+    coloring = Coloring.along(plan, samples["time"], "bandwidth")
+    view = View.from_above(scenario, samples, coloring)
     good = [c for c in candidates if _keeps(c)]
     costs = np.array([_cost(c) for c in good] or [1.0])
     colors = Normalize(np.log(costs.min()), np.log(1.05 * costs.max()))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -83,14 +83,14 @@ def plot_plan(
     Returns:
         A figure, to be saved with ``savefig``.
     """
-    clouds = _Cloud.of(position)
+    clouds = Cloud.of(position)
     if plan.num_outputs == 1:
         return _plot_over_time(scenario, plan, clouds, time, color_by)
     return _plot_from_above(scenario, plan, clouds, color_by)
 
 
 @dataclasses.dataclass(frozen=True)
-class _Cloud:
+class Cloud:
     """Flights that are drawn alike.
 
     Attributes:
@@ -110,7 +110,7 @@ class _Cloud:
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
     @classmethod
-    def of(cls, position: FloatArray | Mapping[str, FloatArray] | None) -> list[_Cloud]:
+    def of(cls, position: FloatArray | Mapping[str, FloatArray] | None) -> list[Cloud]:
         """One cloud, several, or none."""
         if position is None:
             return []
@@ -164,7 +164,7 @@ class View:
     order: tuple[int, int]
     center: FloatArray
     half: FloatArray
-    clouds: list[_Cloud]
+    clouds: Sequence[Cloud]
     obstacles: list[tuple[Ellipse | None, Ellipse]]
     coloring: Coloring
 
@@ -172,10 +172,20 @@ class View:
 
     @classmethod
     def from_above(
-        cls, scenario: Scenario, plan: Plan, clouds: list[_Cloud], color_by: ColorBy
+        cls,
+        scenario: Scenario,
+        samples: dict[str, FloatArray],
+        coloring: Coloring,
+        clouds: Sequence[Cloud] = (),
     ) -> View:
-        """The longer of the first two outputs goes to the right."""
-        samples = plan.sample(_PERIOD)
+        """A look at a plan; the longer of the first two outputs goes to the right.
+
+        Args:
+            scenario: gives the obstacles; a vehicle with two outputs or more.
+            samples: of the plan, as from `Plan.sample`.
+            coloring: of the samples.
+            clouds: flights to draw with it.
+        """
         position, tube = samples["position"], samples["position_tube"]
         along_y = np.ptp(position[:, 1]) >= np.ptp(position[:, 0])
         order = (1, 0) if along_y else (0, 1)
@@ -186,7 +196,7 @@ class View:
             half=tube[:, columns],
             clouds=clouds,
             obstacles=obstacle_sections(scenario.obstacle_set(), position, tube),
-            coloring=Coloring.along(plan, samples["time"], color_by),
+            coloring=coloring,
         )
 
     def window(self) -> tuple[FloatArray, FloatArray]:
@@ -253,12 +263,13 @@ class View:
 
 
 def _plot_from_above(
-    scenario: Scenario, plan: Plan, clouds: list[_Cloud], color_by: ColorBy
+    scenario: Scenario, plan: Plan, clouds: list[Cloud], color_by: ColorBy
 ) -> Figure:
     samples = plan.sample(_PERIOD)
     position, tube = samples["position"], samples["position_tube"]
     obstacles = scenario.obstacle_set()
-    view = View.from_above(scenario, plan, clouds, color_by)
+    coloring = Coloring.along(plan, samples["time"], color_by)
+    view = View.from_above(scenario, samples, coloring, clouds)
     low, high = view.window()
     width, height = high - low
     # Insets pay where the tube is thin beside the whole picture.
@@ -293,7 +304,7 @@ def _plot_from_above(
         )
         _connect(figure, main, panel)
         panels.append(panel)
-    _color_bar(figure, panels, view.coloring)
+    color_bar(figure, panels, view.coloring)
     _legend(figure, scenario, view.coloring, clouds)
     return figure
 
@@ -355,7 +366,7 @@ def _tight_spots(
 def _plot_over_time(
     scenario: Scenario,
     plan: Plan,
-    clouds: list[_Cloud],
+    clouds: list[Cloud],
     time: FloatArray | None,
     color_by: ColorBy,
 ) -> Figure:
@@ -385,7 +396,7 @@ def _plot_over_time(
     axes.set_ylim(bottom, top)
     axes.set_xlabel("time (s)")
     axes.set_ylabel("position y (m)")
-    _color_bar(figure, [axes], coloring)
+    color_bar(figure, [axes], coloring)
     _legend(figure, scenario, coloring, clouds)
     return figure
 
@@ -408,14 +419,15 @@ def _colored_line(
     axes.add_collection(line, autolim=False)
 
 
-def _color_bar(figure: Figure, axes: list[Axes], coloring: Coloring) -> None:
+def color_bar(figure: Figure, axes: list[Axes], coloring: Coloring) -> None:
+    """What the colours mean, beside all of these axes."""
     mappable = ScalarMappable(Normalize(coloring.low, coloring.high), coloring.colormap)
     bar = figure.colorbar(mappable, ax=axes, pad=0.015, fraction=0.03, aspect=28)
     bar.set_label(f"{coloring.label} ({coloring.unit})")
 
 
 def _legend(
-    figure: Figure, scenario: Scenario, coloring: Coloring, clouds: list[_Cloud]
+    figure: Figure, scenario: Scenario, coloring: Coloring, clouds: list[Cloud]
 ) -> None:
     handles: list[Artist] = [
         Line2D([], [], color=coloring.colormap(0.55), lw=3.8, label="reference"),

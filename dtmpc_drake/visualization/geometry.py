@@ -228,13 +228,14 @@ def tube_rings(
 
 
 def swept_mesh(
-    rings: FloatArray, *, closed: bool = True
+    rings: FloatArray, *, closed: bool = True, capped: bool = True
 ) -> tuple[FloatArray, npt.NDArray[np.int32]]:
-    """Triangles between consecutive rings, and over both ends.
+    """Triangles between consecutive rings, and over both ends if `capped`.
 
     Args:
         rings: ``(K, R, 3)``.
         closed: whether a ring's last point is joined to its first.
+        capped: whether the ends are closed.
 
     Returns:
         Vertices ``(K * R, 3)`` and faces ``(F, 3)``.
@@ -246,7 +247,7 @@ def swept_mesh(
     if not closed:
         sides = sides[:, :-1]
     fan = np.stack([np.zeros(R - 2), np.arange(1, R - 1), np.arange(2, R)], axis=-1)
-    caps = [fan, (K - 1) * R + fan[:, ::-1]]
+    caps = [fan, (K - 1) * R + fan[:, ::-1]] if capped else []
     faces = np.concatenate([*caps, sides.reshape(-1, 3)]).astype(np.int32)
     return rings.reshape(-1, 3), faces
 

@@ -13,7 +13,7 @@ import html
 import itertools
 import json
 import logging
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from string import Template
@@ -33,6 +33,7 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform, RotationMatrix
 
 from dtmpc_drake.plan import FloatArray, Plan
+from dtmpc_drake.replan import Replan, plans_in_force
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.visualization.geometry import (
     embedding,
@@ -52,6 +53,9 @@ from dtmpc_drake.visualization.style import (
     Coloring,
     cloud_colors,
 )
+
+GHOST = "#7FA8C9"
+"""Colour of obstacles that are not known yet."""
 
 ROOT = "/dtmpc"
 """Everything drawn here is below this path."""
@@ -78,12 +82,18 @@ def write_replay(
     color_by: ColorBy = "bandwidth",
     status: str | None = None,
     clouds: Mapping[str, FloatArray] | None = None,
+    replans: Sequence[Replan] = (),
+    known_since: FloatArray | None = None,
 ) -> None:
     """Writes a flight as one self-contained HTML file.
 
+    Where there were several plans, each one is drawn while it is in force, and what
+    was flown of it from then on.  An obstacle that is not known yet is a ghost.
+
     Args:
         scenario: gives the obstacles and the name.
-        plan: the reference and the tube that the flight stays in.
+        plan: the reference and the tube that the flight stays in; of several plans
+            what was in force at each time, as from `flown_plan`.
         time: of the flight, ``(K,)``, in s, increasing.
         position: y of the vehicle, ``(K, m)``, in m.
         path: of the file; its directory must exist.
@@ -91,6 +101,8 @@ def write_replay(
         status: one line for the legend, such as the plan's status.
         clouds: more flights of the same plan at the same times by the name of
             their group, ``(flights, K, m)``.
+        replans: every time that was planned, if there was more than one.
+        known_since: of each obstacle, ``(o,)``, in s; from the start if left out.
 
     Raises:
         ValueError: if `time` and `position` do not fit.
@@ -110,7 +122,22 @@ def write_replay(
         add_cloud_trails(meshcat, clouds=clouds)
         each = -(-_SWARM // len(clouds))
         swarm = {name: flights[:each] for name, flights in clouds.items()}
-    add_flight(meshcat, plan=plan, time=time, position=position, swarm=swarm)
+    visible = add_discoveries(
+        meshcat,
+        scenario=scenario,
+        plan=plan,
+        replans=replans,
+        known_since=known_since,
+        color_by=color_by,
+    )
+    add_flight(
+        meshcat,
+        plan=plan,
+        time=time,
+        position=position,
+        swarm=swarm,
+        visible=visible,
+    )
     page = meshcat.StaticHtml()
     overlay = legend_html(
         scenario=scenario,
@@ -120,6 +147,8 @@ def write_replay(
         color_by=color_by,
         status=status,
         clouds=() if clouds is None else clouds,
+        replans=replans,
+        ghosts=known_since is not None and bool((known_since > 0).any()),
     )
     head, end, tail = page.rpartition("</body>")
     title = html.escape(scenario.name)
@@ -252,6 +281,7 @@ def add_obstacles(
     color: str = GREY,
     opacity: float = 0.6,
     name: str = "obstacles",
+    chosen: Container[int] | None = None,
 ) -> None:
     """The scenario's obstacles, in grey; those without an end fill the field.
 
@@ -263,12 +293,15 @@ def add_obstacles(
         color: of all of them.
         opacity: of all of them.
         name: of the group, so that known and unknown ones can be told apart.
+        chosen: the indices of those to draw; all of them if left out.
     """
     solids = obstacle_solids(
         scenario.obstacle_set(), scenario.model.num_outputs, low, high
     )
     primitives = {1: Box(2.0, 2.0, 2.0), 2: Cylinder(1.0, 2.0), 3: Sphere(1.0)}
     for i, solid in enumerate(solids):
+        if chosen is not None and i not in chosen:
+            continue
         path = f"{ROOT}/{name}/{i}"
         meshcat.SetObject(path, primitives[solid.rank], _rgba(color, opacity))
         meshcat.SetTransform(path, solid.transform)
@@ -281,6 +314,8 @@ def add_tube(
     color_by: ColorBy = "bandwidth",
     name: str = "plan",
     opacity: float = 0.75,
+    among: Sequence[Plan] = (),
+    capped: bool = True,
 ) -> None:
     """The reference as a line and the tube around it as a coloured surface.
 
@@ -288,13 +323,22 @@ def add_tube(
     travel it is drawn as the rectangle that just holds the box, one side
     horizontal: exactly the box's silhouette on level flight, and never smaller.
     The half above the reference is faint, so that one looks into the tube.
+
+    Args:
+        meshcat: to draw into.
+        plan: to draw.
+        color_by: what the colours mean.
+        name: of the group.
+        opacity: of the lower half.
+        among: plans that share their colours.
+        capped: whether the tube's ends are closed.
     """
     time = plan.sample_times(_TUBE_PERIOD)
     reference = plan.reference(time) @ embedding(plan.num_outputs).T
     half_axes = plan.position_tube(time) @ embedding(plan.num_outputs).T
     half_axes = half_axes + _FLAT * missing_axes(plan.num_outputs)
     position, velocity = reference[:, 0], reference[:, 1]
-    coloring = Coloring.along(plan, time, color_by)
+    coloring = Coloring.along(plan, time, color_by, among)
     rings = tube_rings(position, velocity, half_axes)
     middle = (rings + rings[:, [1, 0, 3, 2]]) / 2
     upper = np.stack([middle[:, 0], rings[:, 0], rings[:, 3], middle[:, 3]], axis=1)
@@ -304,13 +348,78 @@ def add_tube(
         ("upper", upper, 0.25 * opacity),
     ):
         path = f"{ROOT}/{name}/tube/{half}"
-        vertices, faces = swept_mesh(shell, closed=False)
+        vertices, faces = swept_mesh(shell, closed=False, capped=capped)
         colors = _linear(coloring.rgb(coloring.values)).repeat(shell.shape[1], axis=0)
         meshcat.SetTriangleColorMesh(path, vertices.T, faces.T, colors.T)
         meshcat.SetProperty(path, "opacity", alpha)
         # What is behind a translucent wall must not vanish.
         meshcat.SetProperty(f"{path}/<object>", "material.depthWrite", False)
     _add_pipe(meshcat, f"{ROOT}/{name}/reference", position, BLACK, 0.011)
+
+
+def add_discoveries(
+    meshcat: Meshcat,
+    *,
+    scenario: Scenario,
+    plan: Plan,
+    replans: Sequence[Replan],
+    known_since: FloatArray | None = None,
+    color_by: ColorBy = "bandwidth",
+) -> list[tuple[str, float, float]]:
+    """Draws each plan in place of the one in `add_scene`, and ghosts of obstacles.
+
+    Args:
+        meshcat: `add_scene` drew into it.
+        scenario: gives the obstacles.
+        plan: that `add_scene` drew.
+        replans: every time that was planned; with less than two nothing changes.
+        known_since: of each obstacle, ``(o,)``, in s.
+        color_by: what the colours mean.
+
+    Returns:
+        What is visible for a part of the flight only: path, from and until when, s.
+    """
+    visible: list[tuple[str, float, float]] = []
+    if known_since is not None and (known_since > 0).any():
+        low, high = field_corners(scenario, plan)
+        found = [int(i) for i in np.flatnonzero(known_since > 0)]
+        add_obstacles(
+            meshcat,
+            scenario=scenario,
+            low=low,
+            high=high,
+            color=GHOST,
+            opacity=0.22,
+            name="ghosts",
+            chosen=found,
+        )
+        for i in found:
+            since = float(known_since[i])
+            visible.append((f"{ROOT}/ghosts/{i}", -np.inf, since))
+            visible.append((f"{ROOT}/obstacles/{i}", since, np.inf))
+    shown = plans_in_force(replans)
+    if len(shown) > 1:
+        meshcat.Delete(f"{ROOT}/plan")
+        plans = [s.plan for s in shown]
+        for i, s in enumerate(shown):
+            # All of it while it is in force, then only what was flown of it.
+            last = s is shown[-1]
+            parts = [("in_force", s.plan.end_time, s.start, np.inf if last else s.end)]
+            if not last:
+                parts.append(("flown", s.end, s.end, np.inf))
+            for part, end, since, until in parts:
+                name = f"plans/{i}/{part}"
+                add_tube(
+                    meshcat,
+                    plan=s.plan.between(s.start, end),
+                    color_by=color_by,
+                    name=name,
+                    opacity=0.75 if part == "in_force" else 0.5,
+                    among=plans,
+                    capped=part == "in_force",
+                )
+                visible.append((f"{ROOT}/{name}", since, until))
+    return visible
 
 
 def add_vehicle(
@@ -452,6 +561,7 @@ def add_flight(
     time: FloatArray,
     position: FloatArray,
     swarm: Mapping[str, FloatArray] | None = None,
+    visible: Sequence[tuple[str, float, float]] = (),
 ) -> None:
     """Records the flight as an animation that plays at once, in a loop.
 
@@ -465,6 +575,8 @@ def add_flight(
         position: ``(K, m)``, in m.
         swarm: more vehicles that fly along, as small balls, by the name of their
             group, ``(flights, K, m)``.
+        visible: what to show for a part of the flight only, as from
+            `add_discoveries`.
     """
     E = embedding(plan.num_outputs)
     end = float(time[-1] - time[0])
@@ -511,15 +623,21 @@ def add_flight(
         points = _interpolate(np.linspace(begin, stop, 6), time, position) @ E.T
         path = f"{ROOT}/trail/{i}"
         _add_pipe(meshcat, path, points, VERMILION, 0.024)
-        meshcat.SetProperty(path, "visible", False, 0.0)
-        # Every track must be as long as the flight, or it repeats too soon.
-        meshcat.SetProperty(path, "visible", True, stop - time[0])
-        meshcat.SetProperty(path, "visible", True, end + _PAUSE)
+        _show(meshcat, path, stop - time[0], np.inf, end + _PAUSE)
+    for path, begin, stop in visible:
+        _show(meshcat, path, begin - time[0], stop - time[0], end + _PAUSE)
     animation = meshcat.get_mutable_recording()
     animation.set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
     animation.set_repetitions(10_000)
     meshcat.StopRecording()
     meshcat.PublishRecording()
+
+
+def _show(meshcat: Meshcat, path: str, start: float, stop: float, end: float) -> None:
+    """Shows something between two times of a recording that lasts until `end`."""
+    # Every track must be as long as the flight, or it repeats too soon.
+    for t in sorted({0.0, *(t for t in (start, stop) if 0.0 < t < end), end}):
+        meshcat.SetProperty(path, "visible", bool(start <= t < stop), t)
 
 
 def _interpolate(now: FloatArray, time: FloatArray, values: FloatArray) -> FloatArray:
@@ -557,14 +675,28 @@ def legend_html(
     color_by: ColorBy = "bandwidth",
     status: str | None = None,
     clouds: Iterable[str] = (),
+    replans: Sequence[Replan] = (),
+    ghosts: bool = False,
 ) -> str:
     """What Meshcat cannot draw: legend, time line, read-outs, chase view.
+
+    Args:
+        scenario: as in `write_replay`, and all that follows.
+        plan: in force at each time.
+        time: ``(K,)``, in s.
+        position: ``(K, m)``, in m.
+        color_by: what the colours mean.
+        status: one line.
+        replans: gives the news of each moment.
+        ghosts: whether there are obstacles that are not known from the start.
+        clouds: names of groups of more flights.
 
     Returns:
         HTML to put before a page's ``</body>``.  It degrades to the legend
         alone where the viewer is not the one that it knows.
     """
-    coloring = Coloring.along(plan, time, color_by)
+    shown = plans_in_force(replans)
+    coloring = Coloring.along(plan, time, color_by, [s.plan for s in shown])
     share = np.linspace(0.0, 1.0, 9)
     colors = coloring.rgb(coloring.low + share * (coloring.high - coloring.low))
     ticks = coloring.low + np.array([0.0, 0.5, 1.0]) * (coloring.high - coloring.low)
@@ -581,6 +713,9 @@ def legend_html(
         "width": round(2 * _radius(scenario, plan), 3),
         "unit": coloring.unit,
         "quantity": color_by,
+        "news": [
+            [round(s.start - float(time[0]), 3), s.replan.headline()] for s in shown
+        ],
     }
     template = resources.files("dtmpc_drake.visualization") / "overlay.html"
     fields = {
@@ -602,6 +737,8 @@ def legend_html(
         "goal_color": GREEN,
         "grid": f"{grid_spacing(high - low):g}",
         "obstacles_shown": "" if scenario.obstacles else "hidden",
+        "ghosts_shown": "" if ghosts else "hidden",
+        "ghost_color": GHOST,
         "cut": "(pillars cut at flight altitude)" if plan.num_outputs >= 3 else "",
         # So that no text can end the script element.
         "data": json.dumps(data).replace("<", "\\u003c"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -55,7 +55,13 @@ class Coloring:
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
     @classmethod
-    def along(cls, plan: Plan, time: FloatArray, color_by: ColorBy) -> Coloring:
+    def along(
+        cls,
+        plan: Plan,
+        time: FloatArray,
+        color_by: ColorBy,
+        among: Sequence[Plan] = (),
+    ) -> Coloring:
         """The colours of a plan at some times.
 
         Args:
@@ -63,6 +69,7 @@ class Coloring:
             time: ``(K,)``, in s.
             color_by: ``bandwidth``, the largest α over the outputs, or
                 ``speed``, the norm of the reference's velocity.
+            among: plans whose ranges count instead of this one's.
 
         Raises:
             ValueError: if `color_by` is neither.
@@ -75,7 +82,9 @@ class Coloring:
             label, unit = "speed", unit_of(1)
         else:
             raise ValueError(f"color_by: got {color_by!r}, not bandwidth or speed")
-        every = cls._values(plan, plan.sample_times(), color_by)
+        every = np.concatenate(
+            [cls._values(p, p.sample_times(), color_by) for p in among or (plan,)]
+        )
         low, high = float(every.min()), float(every.max())
         if high - low < 0.02 * max(abs(high), 1e-3):  # constant: a bar needs a width
             margin = 0.1 * max(abs(high), 1e-3)

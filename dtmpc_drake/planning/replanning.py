@@ -1,0 +1,306 @@
+"""Planning on the way: from an old plan and a measurement to what is flown next."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import ClassVar
+
+import numpy as np
+
+from dtmpc_drake.models import Array
+from dtmpc_drake.plan import FloatArray, Plan
+from dtmpc_drake.planning.certificate import clearance_ahead
+from dtmpc_drake.planning.planner import PlanningResult, plan_problem
+from dtmpc_drake.planning.problem import Problem
+from dtmpc_drake.replan import Outcome
+from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.sensing import BoolArray, stopping_time
+from dtmpc_drake.sliding import bandwidth, surface_coefficients, switching_gain
+from dtmpc_drake.tightening import input_bound
+from dtmpc_drake.tube import (
+    Tube,
+    initial_stages,
+    propagate_error_bounds,
+    stages_of_bounds,
+)
+
+BRAKING = (0.6, 0.4, 0.25, 0.9)
+"""Parts of the input that the feedback leaves, with which stops are tried, in order.
+The guess brakes half as hard again at its peak, so that 0.6 nearly takes it all."""
+STOPS = 2.0
+"""A plan to rest is at least this many stopping times long."""
+ITERATIONS = 12
+"""Convex programs at most for each try: what needs more comes too late."""
+CARRY_STEP = 5e-3
+"""Step at most, with which the measured error is carried to the hand-over, in s."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Decision:
+    """What is to be flown next.
+
+    Attributes:
+        status: ``certified``, ``kept``, ``braking`` or ``unsafe``; see `Replan`.
+        message: one line.
+        plan: to take over, or None to keep the old one.
+        cost: of the plan.
+        iterations: convex programs that were solved, whatever came of them.
+    """
+
+    status: Outcome
+    message: str
+    plan: Plan | None
+    cost: float | None
+    iterations: int
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+
+@dataclasses.dataclass(frozen=True)
+class Slowed:
+    """An old plan flown ever more slowly until it rests: where a stop starts from.
+
+    Attributes:
+        plan: the old one.
+        start: when it begins to slow down, in s.
+        duration: until it rests, in s; it moves on by half of that.
+        highest_bandwidth: that a stop may use, ``(m,)``.
+    """
+
+    plan: Plan
+    start: float
+    duration: float
+    highest_bandwidth: Array
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    def reference(self, time: FloatArray | float) -> FloatArray:
+        """See `Plan.reference`; only the position is right."""
+        x = np.clip((np.asarray(time) - self.start) / self.duration, 0.0, 1.0)
+        # Its own clock runs at a rate of 1 - 3x² + 2x³.
+        return self.plan.reference(self.start + self.duration * (x - x**3 + x**4 / 2))
+
+    def bandwidth(self, time: FloatArray | float) -> FloatArray:
+        """The highest, everywhere."""
+        return np.broadcast_to(
+            self.highest_bandwidth, (*np.shape(time), len(self.highest_bandwidth))
+        )
+
+
+def carried_error(
+    plan: Plan, problem: Problem, *, measured_at: float, state: Array, until: float
+) -> Array:
+    """What a plan's error may have become since it was measured.
+
+    The tube that opens at the measurement is propagated along the plan.  It is
+    never larger than the plan's own.
+
+    Args:
+        plan: that is flown all the time.
+        problem: gives the model and the controller.
+        measured_at: in s.
+        state: x that was measured, ``(n, m)``.
+        until: in s, at least `measured_at`.
+
+    Returns:
+        ``(n, m)``, as `Problem.initial_error`: the tube that starts from it has
+        these bounds.  For n > 2 only its first and last row bound the error's
+        derivatives themselves; those between make the cascade's stages right.
+    """
+    n = problem.model.order
+    error = state - plan.reference(measured_at)[:n]
+    bounds, stages = np.abs(error), initial_stages(error, problem.slope)
+    if until > measured_at:
+        steps = max(2, int(np.ceil((until - measured_at) / CARRY_STEP)))
+        times = np.linspace(measured_at, until, 2 * steps + 1)
+        tube = _tube_along(plan, problem, times, error)
+        bounds, stages = tube.error_bound[-1], tube.stages[-1]
+    own = plan.error_bound(until)
+    stages = np.minimum(stages, stages_of_bounds(own, problem.slope))
+    carried = np.minimum(bounds, own)
+    # An error whose stages are these: y_j = Σ_k c_k ỹ^(k) solved for its last term.
+    for k in range(1, n - 1):
+        c = surface_coefficients(problem.slope, k + 1)
+        carried[k] = stages[k] - (c[:k] * carried[:k]).sum(axis=0)
+    return carried
+
+
+def _tube_along(plan: Plan, problem: Problem, time: Array, error: Array) -> Tube:
+    """The tube along a part of a plan that opens from an error there.
+
+    Args:
+        plan: whose layer is used.
+        problem: gives the model and the controller.
+        time: a half grid, ``(2 M + 1,)``, uniform, in s.
+        error: x̃ at the first of these times, ``(n, m)``.
+    """
+    reference = plan.reference(time)[:, : problem.model.order]
+    layer, layer_rate = plan.layer(time)
+    gain = switching_gain(
+        model_error_bound=problem.model.model_error_bound(reference),
+        disturbance_bound=problem.disturbance_bound,
+        reaching_rate=problem.reaching_rate,
+        boundary_layer_rate=layer_rate,
+    )
+    return propagate_error_bounds(
+        model=problem.model,
+        reference=reference,
+        bandwidth=bandwidth(gain=gain, boundary_layer=layer),
+        boundary_layer=layer[::2],
+        boundary_layer_rate=layer_rate[::2],
+        slope=problem.slope,
+        disturbance_bound=problem.disturbance_bound,
+        initial_error=error,
+        velocity_bound=problem.velocity_bound,
+        step=float(time[2] - time[0]),
+    )
+
+
+def problem_on_the_way(
+    problem: Problem, plan: Plan, *, measured_at: float, state: Array, start: float
+) -> Problem:
+    """The same problem from a plan's reference at a later time.
+
+    The new plan goes on with y*, its derivatives up to the n-th, α and Φ of the
+    old one, and its tube opens from the measured error.
+
+    Args:
+        problem: at the start, with the obstacles that are known by now.
+        plan: the old one.
+        measured_at: in s.
+        state: x that was measured, ``(n, m)``.
+        start: when the new plan takes over, in s.
+    """
+    reference = plan.reference(start)
+    n = problem.model.order
+    return dataclasses.replace(
+        problem,
+        start_time=start,
+        duration=problem.start_time + problem.duration - start,
+        start=reference[:n],
+        start_highest=reference[n],
+        start_bandwidth=plan.bandwidth(start),
+        initial_boundary_layer=plan.boundary_layer(start),
+        initial_error=carried_error(
+            plan, problem, measured_at=measured_at, state=state, until=start
+        ),
+    )
+
+
+def shortest_duration(scenario: Scenario) -> float:
+    """Of a plan, in s: with less time left there is no new one to the goal."""
+    return fewest_intervals(scenario) * scenario.duration / scenario.planner.intervals
+
+
+def fewest_intervals(scenario: Scenario) -> int:
+    """Of a plan: the least that a scenario may ask for."""
+    return 2 * scenario.model.order + 2
+
+
+def replan(
+    scenario: Scenario,
+    plan: Plan,
+    *,
+    known: BoolArray,
+    measured_at: float,
+    state: Array,
+    start: float,
+) -> Decision:
+    """Decides what is flown from a time on.
+
+    A certified plan to the goal, found from the old plan; else the old plan, if
+    its tube is clear of all that is known; else a certified plan to the goal from
+    a straight line; else a certified plan to rest anywhere; else whatever of
+    these keeps the largest distance, which is called unsafe.
+
+    Args:
+        scenario: the whole experiment.
+        plan: the old one, which is flown until `start`.
+        known: which obstacles are known, ``(o,)``.
+        measured_at: in s.
+        state: x that was measured, ``(n, m)``.
+        start: when the outcome takes effect, in s.
+    """
+    whole = Problem.from_scenario(scenario, known)
+    problem = problem_on_the_way(
+        whole, plan, measured_at=measured_at, state=state, start=start
+    )
+    iterations = 0
+
+    def solve(
+        problem: Problem, duration: float, guess: Plan | Slowed | None
+    ) -> PlanningResult:
+        nonlocal iterations
+        interval = scenario.duration / scenario.planner.intervals
+        intervals = round(duration / interval)
+        settings = dataclasses.replace(
+            scenario.planner,
+            intervals=max(intervals, fewest_intervals(scenario)),
+            max_iterations=min(ITERATIONS, scenario.planner.max_iterations),
+        )
+        problem = dataclasses.replace(problem, duration=duration)
+        result = plan_problem(problem, settings, warm_start=guess)
+        iterations += len(result.history)
+        return result
+
+    def decided(status: Outcome, message: str, result: PlanningResult) -> Decision:
+        return Decision(status, message, result.attempt, result.cost, iterations)
+
+    left = problem.duration
+    enough = left >= shortest_duration(scenario) - 1e-9
+    n = problem.model.order
+    arrives = np.abs(plan.reference(plan.end_time)[:n] - problem.goal).max() < 1e-3
+    why = "too little time is left for a new plan"
+    if enough and arrives:
+        result = solve(problem, left, plan)
+        if result.certified:
+            return decided("certified", result.message, result)
+        why = f"{result.status}, {result.message}"
+    clear, distance = True, np.inf
+    if len(problem.obstacles):
+        margin = clearance_ahead(plan, problem, measured_at)
+        clear, distance = margin.value >= 0, margin.value
+    if enough and not (arrives and clear):
+        result = solve(problem, left, None)
+        if result.certified:
+            return decided("certified", result.message, result)
+        why = f"{result.status}, {result.message}"
+    if clear:
+        return Decision("kept", why, None, None, iterations)
+
+    rest = np.zeros_like(problem.goal)
+    rest[0] = np.nan  # anywhere
+    stop = dataclasses.replace(problem, goal=rest)
+    best: PlanningResult | None = None
+    for seconds in _stopping_times(problem, plan):
+        guess = Slowed(plan, start, seconds, problem.bandwidth_max)
+        longest = max(left, STOPS * seconds, shortest_duration(scenario))
+        result = solve(stop, longest, guess)
+        if result.certified:
+            return decided("braking", f"no way to the goal: {why}", result)
+        if result.certificate is not None and result.attempt is not None:
+            reached = result.certificate.margins["obstacles"].value
+            if reached > distance:
+                best, distance = result, reached
+    message = f"nothing is certified; obstacles {distance:+.4f} m"
+    if best is None:
+        return Decision("unsafe", message, None, None, iterations)
+    return decided("unsafe", message, best)
+
+
+def _stopping_times(problem: Problem, plan: Plan) -> list[float]:
+    """How long a stop from the start of a problem may take, in s, shortest first."""
+    gain = problem.initial_boundary_layer * plan.bandwidth(problem.start_time)
+    feedback = input_bound(
+        model=problem.model,
+        reference=problem.start,
+        highest=np.zeros_like(problem.start[0]),
+        error_bound=plan.error_bound(problem.start_time),
+        gain=gain,
+        slope=problem.slope,
+    )
+    n = problem.model.order
+    reference = plan.reference(problem.start_time)
+    speed = max(float(np.linalg.norm(reference[1])), 0.1)
+    room = max(problem.input_limit - float(feedback), 0.1 * problem.input_limit)
+    return [stopping_time(speed, part * room, max(n, 2)) for part in BRAKING]
