@@ -8,6 +8,7 @@ import json
 import numpy as np
 import pytest
 
+from diagrams.closed_loop import Simulate
 from diagrams.experiment import CANDIDATES, run
 from diagrams.which_side import SEEDS, compare, random_field
 from dtmpc_drake.models import IntegratorChain
@@ -260,6 +261,29 @@ def test_any_kind_of_problem_is_planned(scenario):
     scenario.planner.initial_guess = "straight_line"
     assert result.cost <= 1.02 * plan(scenario).cost
     assert sum(c.chosen for c in result.candidates) == 1
+
+
+def test_without_sides_the_straight_line_is_the_only_candidate():
+    result = plan(flight([Cylinder([0.0, -3.0], 1.0)]))
+    assert [c.start for c in result.candidates] == ["straight line"]
+
+
+def test_a_diagram_plans_on_the_best_side():
+    """The search's threads run inside an event of a running simulator."""
+    scenario = flight([Cylinder([0.1, 4.0], 0.8)], outputs=2)
+    log = Simulate(scenario)
+    assert log.status == "certified"
+    assert log.tube_ratios.max() <= 1 and log.clearance.min() > 0
+
+
+def test_the_other_solver_refines_the_same_candidates():
+    scenario = flight([Cylinder([0.1, 4.0], 0.8)], outputs=2)
+    clarabel = plan(scenario)
+    scenario.planner.backend = "ipopt"
+    ipopt = plan(scenario)
+    assert clarabel.certified and ipopt.certified
+    assert ipopt.backend == "ipopt"
+    assert ipopt.cost == pytest.approx(clarabel.cost, rel=0.02)
 
 
 def test_where_all_is_blocked_the_result_is_the_straight_lines():

@@ -3,8 +3,9 @@
 Every way that `sides.propose` finds, and the straight line, starts a sequential
 convex program on half as many intervals.  The cheapest are then planned as any
 other problem is, warm-started from their coarse plans, and the cheapest certified
-plan is taken.  Where none is certified the next are tried, and last the straight
-line exactly as without a search, so that a search never loses a plan.
+plan is taken.  The straight line is one of them, planned exactly as without a search,
+unless its coarse solution is hopeless; then it is planned last, if no other plan is
+certified.  So a search never loses a plan.
 
 How many are tried follows from a budget in seconds and the fixed prices below.
 They are what a solve takes on the machine that they were measured on; on a faster
@@ -28,6 +29,7 @@ import numpy as np
 
 from dtmpc_drake.models import Array
 from dtmpc_drake.plan import Plan
+from dtmpc_drake.planning.certificate import certify
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.planning.scp import Iteration, iterate_to_convergence
 from dtmpc_drake.planning.sides import NEITHER, Way, propose, sides_of
@@ -49,13 +51,15 @@ FINE_PRICE = 2
 """Of planning one candidate to its end, in coarse solves."""
 FINE_ITERATIONS = 15
 """At most, for each of them; a warm start rarely needs more than three."""
-FINE = 3
+FINE = 4
 """Candidates that are planned to their end at once."""
 RANKING = 100.0
 """Price of a coarse solution's violation in the ranking; finer grids mend small
 ones, at a cost."""
 PROMISING = 0.05
 """A coarse solution that violates a limit by more is given up, in m, m/s, m/s²."""
+ONE_PATH = 0.1
+"""Solutions that are nowhere further apart are one, in m."""
 SWITCH = 0.9
 """An earlier plan is left only for one that costs less than this part of it."""
 
@@ -75,7 +79,7 @@ class Candidate:
         violation: of the coarse solution, in m, m/s or m/s²; None as above.
         status: of the plan; ``not tried`` if the coarse cost was too high or the
             budget spent, ``blocked`` if the coarse solution violates too much,
-            ``same`` if another one with these sides was better.
+            ``same`` if a better one has these sides or this path.
         cost: of the plan; None if there is none.
         chosen: whether it is the result.
         path: y* of the best solution known, ``(K, m)``.
@@ -182,6 +186,8 @@ def plan_best_side(
     """
     begin = time.perf_counter()
     local = dataclasses.replace(settings, initial_guess="straight_line")
+    if not np.isfinite(problem.goal[0]).all():  # to rest anywhere: no ways, no sides
+        return solve(problem, local, warm_start=warm_start)
     earlier = None
     if warm_start is not None:
         earlier = solve(problem, local, warm_start=warm_start)
@@ -193,23 +199,29 @@ def plan_best_side(
     few = min(FINE_ITERATIONS, settings.max_iterations)
     quick = dataclasses.replace(local, max_iterations=few)
 
-    def plan_finely(coarse: _Coarse) -> PlanningResult:
-        result = solve(problem, quick, warm_start=coarse.plan)
-        return dataclasses.replace(result, history=coarse.history + result.history)
+    def plan_finely(k: int) -> PlanningResult:
+        if k == 0 and earlier is None:  # as without a search
+            return solve(problem, local, warm_start=None)
+        result = solve(problem, quick, warm_start=coarse[k].plan)
+        result = _or_coarse(result, coarse[k])
+        return dataclasses.replace(result, history=coarse[k].history + result.history)
 
     straight = Way.along(NEITHER * len(problem.obstacles), _ends(problem))
     starts = [(STRAIGHT, straight)]
-    starts += [(way.sides, way) for way in propose(problem, solves - 1)]
+    ways = propose(problem, solves - 1)
+    starts += [(way.sides, way) for way in ways if way.sides != straight.sides]
     with ThreadPoolExecutor(threads or _cores()) as pool:
         coarse = list(pool.map(solve_coarsely, starts))
         ranked = sorted(range(len(coarse)), key=lambda k: (coarse[k].merit, k))
         status = _first_status(coarse, ranked)
         queue = [k for k in ranked if status[k] == NOT_TRIED]
+        if earlier is None and status[0] != BLOCKED:
+            # Before all others, so that a search is never dearer than none.
+            queue = [0, *(k for k in queue if k != 0)]
         found: dict[int, PlanningResult] = {}
         while queue and len(found) + FINE <= fine:
             batch, queue = queue[:FINE], queue[FINE:]
-            results = pool.map(plan_finely, [coarse[k] for k in batch])
-            found |= dict(zip(batch, results, strict=True))
+            found |= dict(zip(batch, pool.map(plan_finely, batch), strict=True))
             if any(found[k].certified for k in batch):
                 break
     certified = [k for k in found if found[k].certified]
@@ -221,9 +233,11 @@ def plan_best_side(
         and (best is None or best.cost > SWITCH * earlier.cost)
     ):
         chosen, best = None, earlier
-    if best is None:  # as without a search
-        chosen, best = 0, solve(problem, local, warm_start=None)
-        found[chosen] = best
+    if best is None:
+        chosen = 0
+        if earlier is not None or chosen not in found:
+            found[chosen] = solve(problem, local, warm_start=None)
+        best = found[chosen]
         if earlier is not None and not best.certified:
             chosen, best = None, earlier
     table = [
@@ -241,20 +255,52 @@ def plan_best_side(
     )
 
 
+def _or_coarse(result: PlanningResult, coarse: _Coarse) -> PlanningResult:
+    """The coarse plan itself, if it is certified and the fine one is no better.
+
+    That happens where the fine programs end in trouble.
+    """
+    if result.certified and result.cost <= coarse.cost:
+        return result
+    certificate = certify(coarse.plan, result.problem)
+    if not certificate.certified:
+        return result
+    name, margin = certificate.worst
+    return dataclasses.replace(
+        result,
+        status="certified",
+        message=f"smallest margin: {name} {margin}",
+        plan=coarse.plan,
+        attempt=coarse.plan,
+        certificate=certificate,
+        cost=coarse.cost,
+        history=(),
+    )
+
+
 def _first_status(coarse: list[_Coarse], ranked: list[int]) -> dict[int, str]:
     """What the coarse solutions alone say of each candidate."""
     status = {}
-    seen: set[str] = set()
+    kept: list[_Coarse] = []
     for k in ranked:
-        sides = coarse[k].way.sides
-        if coarse[k].violation > PROMISING:
+        new = coarse[k]
+        if new.violation > PROMISING:
             status[k] = BLOCKED
-        elif sides in seen:
+        elif any(_are_same(new, other) for other in kept):
             status[k] = SAME
         else:
-            seen.add(sides)
+            kept.append(new)
             status[k] = NOT_TRIED
     return status
+
+
+def _are_same(one: _Coarse, other: _Coarse) -> bool:
+    """Whether two coarse solutions pass on the same sides, or are one path."""
+    if one.way.sides == other.way.sides:
+        return True
+    knots = one.plan.knots
+    apart = one.plan.reference(knots)[:, 0] - other.plan.reference(knots)[:, 0]
+    return float(np.linalg.norm(apart, axis=1).max()) < ONE_PATH
 
 
 def affordable(problem: Problem, settings: Planner) -> tuple[int, int]:
