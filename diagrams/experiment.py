@@ -150,27 +150,29 @@ def run(
             replans=log.replans,
             known_since=log.known_since,
         )
-        if log.replans:
-            plot_receding_horizon(
+        if log.replans and scenario.model.num_outputs > 1:
+            figure = plot_receding_horizon(
                 scenario=scenario,
                 replans=log.replans,
                 time=log.time,
                 position=log.position,
                 known_since=log.known_since,
                 color_by=color_by,
-            ).savefig(files[1])
-            files.insert(2, out / REPLANS)
-            plot_replans(
-                scenario=scenario, replans=log.replans, known_since=log.known_since
-            ).savefig(files[2])
+            )
         else:
-            plot_plan(
+            figure = plot_plan(
                 scenario=scenario,
                 plan=flown,
                 position=log.position,
                 time=log.time,
                 color_by=color_by,
-            ).savefig(files[1])
+            )
+        figure.savefig(files[1])
+        if log.replans:
+            files.insert(2, out / REPLANS)
+            plot_replans(
+                scenario=scenario, replans=log.replans, known_since=log.known_since
+            ).savefig(files[2])
         plot_histories(
             scenario=scenario,
             plan=flown,

@@ -21,7 +21,8 @@ class Replan:
     Attributes:
         time: of the measurement that it planned from, in s.
         hand_over: when the outcome took effect, in s.
-        cause: ``start``, ``period`` or ``revealed``.
+        cause: ``start``, ``period``, ``revealed`` or ``retry``, which follows at once
+            on ``braking`` and ``unsafe``.
         revealed: the obstacles that had become known, by their index.
         status: ``certified``; ``kept`` (no certified plan, but the old one is
             clear of all that is known); ``braking`` (a certified plan to rest);

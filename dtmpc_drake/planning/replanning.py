@@ -209,9 +209,13 @@ def replan(
     """Decides what is flown from a time on.
 
     A certified plan to the goal, found from the old plan; else the old plan, if
-    its tube is clear of all that is known; else a certified plan to the goal from
-    a straight line; else a certified plan to rest anywhere; else whatever of
-    these keeps the largest distance, which is called unsafe.
+    its tube is clear of all that is known; else a certified plan to rest anywhere;
+    else a certified plan to the goal from a straight line; else whatever of these
+    keeps the largest distance, which is called unsafe.  From a plan that does not
+    end at the goal the first try is the straight line.
+
+    A stop comes before the second search because it is found quickly: a way on may
+    then be looked for while it is flown.
 
     Args:
         scenario: the whole experiment.
@@ -225,48 +229,18 @@ def replan(
     problem = problem_on_the_way(
         whole, plan, measured_at=measured_at, state=state, start=start
     )
-    iterations = 0
-
-    def solve(
-        problem: Problem, duration: float, guess: Plan | Slowed | None
-    ) -> PlanningResult:
-        nonlocal iterations
-        interval = scenario.duration / scenario.planner.intervals
-        intervals = round(duration / interval)
-        settings = dataclasses.replace(
-            scenario.planner,
-            intervals=max(intervals, fewest_intervals(scenario)),
-            max_iterations=min(ITERATIONS, scenario.planner.max_iterations),
-        )
-        problem = dataclasses.replace(problem, duration=duration)
-        result = plan_problem(problem, settings, warm_start=guess)
-        iterations += len(result.history)
-        return result
-
-    def decided(status: Outcome, message: str, result: PlanningResult) -> Decision:
-        return Decision(status, message, result.attempt, result.cost, iterations)
-
-    left = problem.duration
+    tries = _Tries(scenario)
+    left, n = problem.duration, problem.model.order
     enough = left >= shortest_duration(scenario) - 1e-9
-    n = problem.model.order
     arrives = np.abs(plan.reference(plan.end_time)[:n] - problem.goal).max() < 1e-3
-    why = "too little time is left for a new plan"
-    if enough and arrives:
-        result = solve(problem, left, plan)
-        if result.certified:
-            return decided("certified", result.message, result)
-        why = f"{result.status}, {result.message}"
-    clear, distance = True, np.inf
+    if enough and tries.certified(problem, left, plan if arrives else None):
+        return tries.decision("certified")
+    why = tries.message or "too little time is left for a new plan"
+    distance = np.inf
     if len(problem.obstacles):
-        margin = clearance_ahead(plan, problem, measured_at)
-        clear, distance = margin.value >= 0, margin.value
-    if enough and not (arrives and clear):
-        result = solve(problem, left, None)
-        if result.certified:
-            return decided("certified", result.message, result)
-        why = f"{result.status}, {result.message}"
-    if clear:
-        return Decision("kept", why, None, None, iterations)
+        distance = clearance_ahead(plan, problem, measured_at).value
+    if distance >= 0:
+        return Decision("kept", why, None, None, tries.iterations)
 
     rest = np.zeros_like(problem.goal)
     rest[0] = np.nan  # anywhere
@@ -275,17 +249,63 @@ def replan(
     for seconds in _stopping_times(problem, plan):
         guess = Slowed(plan, start, seconds, problem.bandwidth_max)
         longest = max(left, STOPS * seconds, shortest_duration(scenario))
-        result = solve(stop, longest, guess)
-        if result.certified:
-            return decided("braking", f"no way to the goal: {why}", result)
-        if result.certificate is not None and result.attempt is not None:
-            reached = result.certificate.margins["obstacles"].value
-            if reached > distance:
-                best, distance = result, reached
+        if tries.certified(stop, longest, guess):
+            return tries.decision("braking", f"no way to the goal: {why}")
+        certificate = tries.last.certificate
+        if certificate and certificate.margins["obstacles"].value > distance:
+            best, distance = tries.last, certificate.margins["obstacles"].value
+    if enough and arrives and tries.certified(problem, left, None):
+        return tries.decision("certified")
     message = f"nothing is certified; obstacles {distance:+.4f} m"
     if best is None:
-        return Decision("unsafe", message, None, None, iterations)
-    return decided("unsafe", message, best)
+        return Decision("unsafe", message, None, None, tries.iterations)
+    return Decision("unsafe", message, best.attempt, best.cost, tries.iterations)
+
+
+class _Tries:
+    """Plans on the way, one after the other, and what they took together."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self._results: list[PlanningResult] = []
+
+    def certified(
+        self, problem: Problem, duration: float, guess: Plan | Slowed | None
+    ) -> bool:
+        """Whether a problem of this duration has a certified plan from this guess."""
+        planner = self._scenario.planner
+        interval = self._scenario.duration / planner.intervals
+        least = fewest_intervals(self._scenario)
+        settings = dataclasses.replace(
+            planner,
+            intervals=max(round(duration / interval), least),
+            max_iterations=min(ITERATIONS, planner.max_iterations),
+        )
+        problem = dataclasses.replace(problem, duration=duration)
+        self._results.append(plan_problem(problem, settings, warm_start=guess))
+        return self.last.certified
+
+    @property
+    def last(self) -> PlanningResult:
+        """The latest result."""
+        return self._results[-1]
+
+    @property
+    def message(self) -> str:
+        """What the latest result says; nothing before the first one."""
+        return f"{self.last.status}, {self.last.message}" if self._results else ""
+
+    @property
+    def iterations(self) -> int:
+        """Convex programs of all tries."""
+        return sum(len(result.history) for result in self._results)
+
+    def decision(self, status: Outcome, message: str = "") -> Decision:
+        """To fly the latest plan."""
+        message = message or self.last.message
+        return Decision(
+            status, message, self.last.plan, self.last.cost, self.iterations
+        )
 
 
 def _stopping_times(problem: Problem, plan: Plan) -> list[float]:

@@ -118,12 +118,13 @@ class DtmpcPlanner(LeafSystem):
 
     If the scenario asks for it (`Scenario.is_receding`), the planner looks at its
     inputs every `sensing.period`.  It plans again every `planner.replan_period`,
-    and at once when there is a new obstacle; see `planning.replanning.replan` for
-    what it decides.  The outcome takes effect `planner.compute_delay` later, at the
-    next look: until then the old plan is flown, and nothing else is begun.  Where
-    too little time is left for a plan to the goal (`shortest_duration`), only new
-    obstacles count.  Once the outcome is in effect `status` is ``certified``,
-    ``kept: ...``, ``braking: ...`` or ``unsafe: ...``; see `Replan`.
+    and at once when there is a new obstacle, or after ``braking`` or ``unsafe``; see
+    `planning.replanning.replan` for what it decides.  The outcome takes effect
+    `planner.compute_delay` later, at the next look: until then the old plan is
+    flown, and nothing else is begun.  Where too little time is left for a plan to
+    the goal (`shortest_duration`), only new obstacles count.  Once the outcome is
+    in effect `status` is ``certified``, ``kept: ...``, ``braking: ...`` or
+    ``unsafe: ...``; see `Replan`.
 
     With `ObstacleSensor` and a range of `Scenario.sensing_range_needed` there is a
     way to rest before every obstacle when it becomes known; the planner finds it by
@@ -221,11 +222,12 @@ class DtmpcPlanner(LeafSystem):
         period, time = self._scenario.sensing.period, context.get_time()
         before = memory = self._memory(context)
         plan = self._memory_plan(context)
-        pending = memory.pending
+        pending, stopping = memory.pending, False
         if pending is not None and time >= pending.hand_over - period / 2:
             if pending.plan is not None:
                 plan = pending.plan
                 self._set(state, self._plan_state, plan)
+            stopping = pending.status in ("braking", "unsafe")
             status: str = pending.status
             if status != "certified":
                 status = f"{status}: {pending.message}"
@@ -236,6 +238,8 @@ class DtmpcPlanner(LeafSystem):
             known = self._known(context)
             revealed = np.flatnonzero(known & ~memory.known)
             cause = "revealed" if len(revealed) else self._due(time)
+            if cause is None and stopping:
+                cause = "retry"
             if cause is not None:
                 outcome = self._replan(context, plan, known, revealed, cause)
                 memory = dataclasses.replace(memory, pending=outcome, known=known)

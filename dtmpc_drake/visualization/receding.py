@@ -22,6 +22,7 @@ from dtmpc_drake.visualization.style import (
     BLACK,
     BLUE,
     EDGE,
+    GREEN,
     GREY,
     LIGHT_GREY,
     PALE_BLUE,
@@ -35,7 +36,12 @@ _WIDTH = 10.0  # of a figure, in inches
 _UNKNOWN: dict[str, Any] = {"ec": EDGE, "ls": ":", "lw": 0.9}
 _PANELS = 5  # of the figure of plans, at most
 _STATUSES = ("certified", "kept", "braking", "unsafe")
-_CAUSES = {"start": (BLACK, "s"), "period": (BLUE, "o"), "revealed": (VERMILION, "D")}
+_CAUSES = {
+    "start": (BLACK, "s", "start"),
+    "period": (BLUE, "o", "period"),
+    "revealed": (VERMILION, "D", "new obstacle"),
+    "retry": (GREEN, "^", "next try"),
+}
 
 
 def plot_receding_horizon(
@@ -82,8 +88,8 @@ def plot_receding_horizon(
     high = np.max([w[1] for w in windows], axis=0)
     width, height = high - low
     rise = float(np.clip(0.88 * _WIDTH * height / width, 1.0, 6.0))
-    figure = Figure(figsize=(_WIDTH, len(views) * (rise + 0.28) + 1.1), dpi=150)
-    figure.set_layout_engine("constrained")
+    figure = Figure(figsize=(_WIDTH, len(views) * (rise + 0.2) + 1.0), dpi=150)
+    figure.set_layout_engine("compressed")
     panels: list[Axes] = []
     for i, view in enumerate(views):
         axes = figure.add_subplot(len(views), 1, i + 1)
@@ -143,9 +149,8 @@ def _look(
 def _title(replan: Replan) -> str:
     if replan.cause == "start":
         return "the first plan"
-    return (
-        f"t = {replan.time:.1f} s, now with {_named(replan.revealed)}: {replan.status}"
-    )
+    news = f"now with {_named(replan.revealed)}" if replan.revealed else "on again"
+    return f"t = {replan.time:.1f} s, {news}: {replan.status}"
 
 
 def _named(obstacles: Sequence[int]) -> str:
@@ -178,7 +183,7 @@ def plot_replans(
     time = np.array([r.time for r in replans])
     color = [_CAUSES[r.cause][0] for r in replans]
     for r in replans:
-        shade, marker = _CAUSES[r.cause]
+        shade, marker, _ = _CAUSES[r.cause]
         top.plot(r.time, rows[r.status], marker, color=shade, ms=6.5, mec="white")
     top.set_yticks(list(rows.values()), list(rows))
     top.set_ylim(-0.6, len(rows) - 0.4)
@@ -211,11 +216,10 @@ def plot_replans(
         axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)
     figure.align_ylabels()
-    causes = [c for c in _CAUSES if any(r.cause == c for r in replans)]
-    names = {"start": "start", "period": "period", "revealed": "new obstacle"}
     handles: list[Artist] = [
-        Line2D([], [], ls="", marker=_CAUSES[c][1], color=_CAUSES[c][0], label=names[c])
-        for c in causes
+        Line2D([], [], ls="", marker=marker, color=shade, label=label)
+        for cause, (shade, marker, label) in _CAUSES.items()
+        if any(r.cause == cause for r in replans)
     ]
     handles.append(Line2D([], [], color=BLACK, lw=1.0, ls="--", label="compute delay"))
     figure.legend(
