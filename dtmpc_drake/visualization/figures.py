@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -224,23 +224,31 @@ class _View:
         axes.set_ylabel(f"{names[1]} (m)")
 
 
-def _plot_from_above(
+def _view(
     scenario: Scenario, plan: Plan, clouds: list[_Cloud], color_by: ColorBy
-) -> Figure:
+) -> _View:
+    """A plan as seen from above, its long axis to the right."""
     samples = plan.sample(_PERIOD)
     position, tube = samples["position"], samples["position_tube"]
     along_y = np.ptp(position[:, 1]) >= np.ptp(position[:, 0])
     order = (1, 0) if along_y else (0, 1)
-    columns = list(order)
-    obstacles = scenario.obstacle_set()
-    view = _View(
+    return _View(
         order=order,
-        center=position[:, columns],
-        half=tube[:, columns],
+        center=position[:, list(order)],
+        half=tube[:, list(order)],
         clouds=clouds,
-        obstacles=obstacle_sections(obstacles, position, tube),
+        obstacles=obstacle_sections(scenario.obstacle_set(), position, tube),
         coloring=Coloring.along(plan, samples["time"], color_by),
     )
+
+
+def _plot_from_above(
+    scenario: Scenario, plan: Plan, clouds: list[_Cloud], color_by: ColorBy
+) -> Figure:
+    view = _view(scenario, plan, clouds, color_by)
+    samples = plan.sample(_PERIOD)
+    position, tube = samples["position"], samples["position_tube"]
+    obstacles = scenario.obstacle_set()
     low, high = view.window()
     width, height = high - low
     # Insets pay where the tube is thin beside the whole picture.
@@ -277,6 +285,58 @@ def _plot_from_above(
         panels.append(panel)
     _color_bar(figure, panels, view.coloring)
     _legend(figure, scenario, view.coloring, clouds)
+    return figure
+
+
+@dataclasses.dataclass(frozen=True)
+class Panel:
+    """One of several plans in a figure.
+
+    Attributes:
+        title: above it.
+        plan: a plan, or an infeasible attempt.
+    """
+
+    title: str
+    plan: Plan
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+
+def plot_plans(*, scenario: Scenario, panels: Sequence[Panel]) -> Figure:
+    """Several plans of one scenario from above, one below the other.
+
+    All are coloured by bandwidth on the same scale.
+
+    Args:
+        scenario: gives the obstacles.
+        panels: at least one; their plans have at least two outputs.
+
+    Returns:
+        A figure, to be saved with ``savefig``.
+    """
+    views = [_view(scenario, panel.plan, [], "bandwidth") for panel in panels]
+    coloring = dataclasses.replace(
+        views[0].coloring,
+        low=min(view.coloring.low for view in views),
+        high=max(view.coloring.high for view in views),
+    )
+    corners = np.array([view.window() for view in views])
+    bottom, top = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+    width, height = top - bottom
+    rise = float(np.clip(0.835 * _WIDTH * height / width, 1.0, 4.0))
+    figure = Figure(figsize=(_WIDTH, 0.9 + (rise + 0.4) * len(panels)), dpi=150)
+    figure.set_layout_engine("constrained")
+    grid = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
+    for axes, panel, view in zip(grid, panels, views, strict=True):
+        own = dataclasses.replace(view.coloring, low=coloring.low, high=coloring.high)
+        dataclasses.replace(view, coloring=own).draw(axes, bottom, top, 2.6)
+        axes.set_title(panel.title, fontsize=10, loc="left")
+        if axes is not grid[-1]:
+            axes.set_xlabel("")
+            axes.tick_params(labelbottom=False)
+    _color_bar(figure, list(grid), coloring)
+    _legend(figure, scenario, coloring, [])
     return figure
 
 
