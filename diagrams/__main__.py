@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 from rich.console import Console
@@ -30,6 +30,9 @@ from dtmpc_drake.scenario import (
     load_scenario,
     shipped_scenarios,
 )
+
+if TYPE_CHECKING:
+    from diagrams.monte_carlo import Batch
 
 BAD_INPUT, NOT_CERTIFIED = 2, 3
 OPTIONS = ("seed", "trials", "batch-size", "disturbance", "scheduler")
@@ -132,12 +135,7 @@ def monte_carlo(
     with _input_errors(out):
         chosen = _with_options(load_scenario(scenario), seed=seed, backend=None)
         console.print(repr(chosen), markup=False)
-        with _progress(console) as progress:
-            task = progress.add_task("trials", total=None)
-
-            def start(total: int) -> None:
-                progress.update(task, total=total)
-
+        with _flights(console) as (start, done):
             ended = experiment.run(
                 chosen,
                 out,
@@ -146,7 +144,44 @@ def monte_carlo(
                 batch_size=_whole("batch-size", batch_size),
                 scheduler=scheduler,
                 start=start,
-                done=lambda batch: progress.advance(task, len(batch.numbers)),
+                done=done,
+            )
+    console.print()
+    console.print(repr(ended), markup=False)
+    if not ended.safe:
+        raise typer.Exit(NOT_CERTIFIED)
+
+
+@app.command()
+def compare(
+    scenario: ScenarioArgument,
+    trials: TrialsOption = "1000",
+    seed: SeedOption = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Directory for the files.  [default: out/<name>_compare]"),
+    ] = None,
+    scheduler: SchedulerOption = None,
+) -> None:
+    """Plan a scenario with and without parts of the method, and fly each plan.
+
+    Exits with 0 if the whole method's plan is certified and no flight of it left
+    its tube or hit anything, else with 3.
+    """
+    from diagrams import compare as experiment
+
+    console = Console(highlight=False, soft_wrap=True)
+    with _input_errors(out):
+        chosen = _with_options(load_scenario(scenario), seed=seed, backend=None)
+        console.print(repr(chosen), markup=False)
+        with _flights(console) as (start, done):
+            ended = experiment.run(
+                chosen,
+                out,
+                trials=_whole("trials", trials),
+                scheduler=scheduler,
+                start=start,
+                done=done,
             )
     console.print()
     console.print(repr(ended), markup=False)
@@ -235,15 +270,28 @@ def _input_errors(out: Path | None) -> Iterator[None]:
         _refuse(f"--out: got {str(where)!r}, but it must be writable ({reason})")
 
 
-def _progress(console: Console) -> Progress:
-    return Progress(
+@contextlib.contextmanager
+def _flights(
+    console: Console,
+) -> Iterator[tuple[Callable[[int], None], Callable[[Batch], None]]]:
+    """A progress bar: what to call before all flights, and after each batch."""
+    columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
-        console=console,
     )
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task("planning", total=None)
+
+        def start(total: int) -> None:
+            progress.update(task, description="flights", total=total)
+
+        def done(batch: Batch) -> None:
+            progress.advance(task, len(batch.numbers))
+
+        yield start, done
 
 
 def _refuse(message: str) -> NoReturn:

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 from diagrams.closed_loop import SimulateTrials
 from diagrams.experiment import color_of, summarize, write_json
+from diagrams.table import text_table
 from dtmpc_drake.monte_carlo import (
     Flights,
     batches,
@@ -127,22 +128,21 @@ class MonteCarlo:
 
     def table(self) -> str:
         """One line a disturbance."""
-        rows = [
-            f"{'':<11}{'trials':>7}{'violations':>12}{'collisions':>12}"
-            f"{'|s|/Φ':>8}{'|ỹ|/Ω':>8}{'|dỹ/dt|/W':>11}{'clearance':>11}"
-            f"{'effort':>20}"
-        ]
+        columns = ["", "flights", "violations", "collisions", "|s|/Φ", "|ỹ|/Ω"]
+        columns += ["|dỹ/dt|/W", "clearance", "effort: least", "median", "most"]
+        rows = []
         for name, flown in self.flights.items():
-            layer, position, velocity = flown.worst_ratios.max(axis=0)
-            effort = flown.summary()["effort"]
-            spread = "{smallest:.2f} {median:.2f} {largest:.2f}".format(**effort)
             rows.append(
-                f"{name:<11}{len(flown):>7}{sum(flown.violations.values()):>12}"
-                f"{flown.collisions:>12}{layer:>8.3f}{position:>8.3f}"
-                f"{velocity:>11.3f}{flown.smallest_clearance.min():>9.3f} m"
-                f"{spread:>20}"
+                [
+                    name,
+                    *map(str, (len(flown), sum(flown.violations.values()))),
+                    str(flown.collisions),
+                    *(f"{ratio:.3f}" for ratio in flown.worst_ratios.max(axis=0)),
+                    f"{flown.smallest_clearance.min():.3f}",
+                    *(f"{value:.2f}" for value in flown.summary()["effort"].values()),
+                ]
             )
-        return "\n".join(rows)
+        return text_table(columns, rows)
 
     def __repr__(self) -> str:
         """A summary that a person can read."""
@@ -152,8 +152,8 @@ class MonteCarlo:
                 "",
                 self.table(),
                 "",
-                "violations of layer and tubes; largest ratios; smallest clearance;",
-                "effort ∫‖u‖² dt: smallest, median, largest",
+                "violations of layer and tubes; the largest of all ratios; clearance:"
+                " smallest, m; effort: ∫‖u‖² dt",
             ]
         lines += ["", "files", *(f"  {path}" for path in self.files)]
         return "\n".join(lines)

@@ -396,10 +396,13 @@ class ConstantUncertainty(Model):
     Args:
         model: the model whose Δ(x) is replaced.
         bound: Δ, shape ``(m,)``.
+        covers: whether plans must stay where the bound covers the model's own Δ;
+            False is for comparison with planners that do not ask.
     """
 
-    def __init__(self, model: Model, bound: Array) -> None:
+    def __init__(self, model: Model, bound: Array, *, covers: bool = True) -> None:
         self.model = model
+        self.covers = covers
         self.bound = np.asarray(bound, dtype=float)
         self.num_outputs = model.num_outputs
         self.order = model.order

@@ -15,6 +15,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from dtmpc_drake.logs import quiet
 from dtmpc_drake.models import Array
 from dtmpc_drake.scenario import (
     BangBang,
@@ -194,6 +195,7 @@ def _connected(scheduler: str | None, *, tasks: int) -> Iterator[Any]:
     from distributed import Client, LocalCluster
 
     with contextlib.ExitStack() as stack:
+        stack.enter_context(quiet("distributed"))
         if scheduler is not None:
             try:
                 client = Client(scheduler, timeout=PATIENCE)

@@ -179,7 +179,7 @@ def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Ma
     missing = np.nan_to_num(np.abs(ends - wanted)).max(axis=1)
     times = np.array([plan.start_time, plan.end_time])
     margins["ends"] = _smallest(times, END_TOLERANCE - missing, "", "axis")
-    if isinstance(problem.model, ConstantUncertainty):
+    if isinstance(problem.model, ConstantUncertainty) and problem.model.covers:
         true = problem.model.model.model_error_bound_over(
             middle[:, :n], enclosure.error_bound + radius
         )

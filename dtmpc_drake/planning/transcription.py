@@ -494,7 +494,7 @@ class Transcription:
             ``(..., m)``; ``(..., 0)`` where Δ is not replaced by a constant.
         """
         model = self.problem.model
-        if not isinstance(model, ConstantUncertainty):
+        if not isinstance(model, ConstantUncertainty) or not model.covers:
             return np.zeros((*state.shape[:-2], 0))
         true = model.model.model_error_bound_over(state, error_bound)
         return np.asarray(model.bound * (1 - INPUT_HAIR) - true)

@@ -309,6 +309,62 @@ def _plot_from_above(
     return figure
 
 
+@dataclasses.dataclass(frozen=True)
+class Panel:
+    """One of several plans in a figure.
+
+    Attributes:
+        title: above it.
+        plan: a plan, or an infeasible attempt.
+    """
+
+    title: str
+    plan: Plan
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+
+def plot_plans(*, scenario: Scenario, panels: Sequence[Panel]) -> Figure:
+    """Several plans of one scenario from above, one below the other.
+
+    All are coloured by bandwidth on the same scale.
+
+    Args:
+        scenario: gives the obstacles.
+        panels: at least one; their plans have at least two outputs.
+
+    Returns:
+        A figure, to be saved with ``savefig``.
+    """
+    views = []
+    for panel in panels:
+        samples = panel.plan.sample(_PERIOD)
+        coloring = Coloring.along(panel.plan, samples["time"], "bandwidth")
+        views.append(View.from_above(scenario, samples, coloring))
+    coloring = dataclasses.replace(
+        views[0].coloring,
+        low=min(view.coloring.low for view in views),
+        high=max(view.coloring.high for view in views),
+    )
+    corners = np.array([view.window() for view in views])
+    bottom, top = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+    width, height = top - bottom
+    rise = float(np.clip(0.835 * _WIDTH * height / width, 1.0, 4.0))
+    figure = Figure(figsize=(_WIDTH, 0.9 + (rise + 0.4) * len(panels)), dpi=150)
+    figure.set_layout_engine("constrained")
+    grid = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
+    for axes, panel, view in zip(grid, panels, views, strict=True):
+        own = dataclasses.replace(view.coloring, low=coloring.low, high=coloring.high)
+        dataclasses.replace(view, coloring=own).draw(axes, bottom, top, 2.6)
+        axes.set_title(panel.title, fontsize=10, loc="left")
+        if axes is not grid[-1]:
+            axes.set_xlabel("")
+            axes.tick_params(labelbottom=False)
+    color_bar(figure, list(grid), coloring)
+    _legend(figure, scenario, coloring, [])
+    return figure
+
+
 def _connect(figure: Figure, main: Axes, panel: Axes) -> None:
     """Frames a panel's window in the main axes and leads down to the panel."""
     (left, right), (bottom, top) = panel.get_xlim(), panel.get_ylim()

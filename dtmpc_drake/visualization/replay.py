@@ -8,12 +8,10 @@ a time line and a camera that follows the vehicle.
 
 from __future__ import annotations
 
-import contextlib
 import html
 import itertools
 import json
-import logging
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from string import Template
@@ -32,6 +30,7 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform, RotationMatrix
 
+from dtmpc_drake.logs import quiet
 from dtmpc_drake.plan import FloatArray, Plan
 from dtmpc_drake.replan import Replan, plans_in_force
 from dtmpc_drake.scenario import Scenario
@@ -114,7 +113,7 @@ def write_replay(
             f"position: got shape {position.shape}, but it must be"
             f" (len(time), {plan.num_outputs}) with at least two times"
         )
-    with _quiet_drake():
+    with quiet("drake"):  # the address of a server that nobody will visit
         meshcat = Meshcat(MeshcatParams(host="localhost", port=0))
     add_scene(meshcat, scenario=scenario, plan=plan, color_by=color_by)
     swarm = None
@@ -154,18 +153,6 @@ def write_replay(
     title = html.escape(scenario.name)
     head = head.replace("<title>Drake MeshCat</title>", f"<title>{title}</title>")
     Path(path).write_text(head + overlay + end + tail, encoding="utf-8")
-
-
-@contextlib.contextmanager
-def _quiet_drake() -> Iterator[None]:
-    """Keeps the address of a server that nobody will visit off the terminal."""
-    logger = logging.getLogger("drake")
-    level = logger.level
-    logger.setLevel(logging.WARNING)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
 
 
 # The scene.

@@ -10,7 +10,12 @@ from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
-from tests.benchmarks import bench_replan, bench_scaling, bench_tube_price
+from tests.benchmarks import (
+    bench_monte_carlo,
+    bench_replan,
+    bench_scaling,
+    bench_tube_price,
+)
 from tests.benchmarks.bench_common import Section
 
 
@@ -26,7 +31,9 @@ def main() -> None:
         help="of our slower backend; 0 leaves it out",
     )
     parser.add_argument(
-        "--only", choices=("replan", "scaling", "tube"), action="append"
+        "--only",
+        choices=("replan", "scaling", "tube", "monte-carlo"),
+        action="append",
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers")
     args = parser.parse_args()
@@ -36,6 +43,7 @@ def main() -> None:
         ),
         "scaling": lambda: bench_scaling.run(args.scenario, args.repeats),
         "tube": lambda: bench_tube_price.run(args.scenario, args.repeats),
+        "monte-carlo": lambda: bench_monte_carlo.run(args.scenario, args.repeats),
     }
     machine = {
         "cores": str(os.cpu_count()),

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from diagrams.table import text_table
 from dtmpc_drake.models import Array
 from dtmpc_drake.planning import PlanningResult
 from tests.benchmarks.casadi_peer import Solution
@@ -36,18 +37,9 @@ class Section:
     data: dict[str, Any]
 
     def __str__(self) -> str:
-        """The table as text: the first column to the left, others to the right."""
-        table = [list(self.columns), *map(list, self.rows)]
-        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-        lines = [
-            "  ".join(
-                cell.rjust(width) if i else cell.ljust(width)
-                for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-            ).rstrip()
-            for row in table
-        ]
-        lines.insert(1, "  ".join("-" * width for width in widths))
-        return "\n".join([self.title, "=" * len(self.title), *lines, *self.notes])
+        """The table as text."""
+        table = text_table(self.columns, self.rows)
+        return "\n".join([self.title, "=" * len(self.title), table, *self.notes])
 
 
 def interleaved(

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
-
-from dtmpc_drake.models import DragDoubleIntegrator
-from dtmpc_drake.planning import PlanningResult, Problem, plan_problem
+from dtmpc_drake.planning import Problem, plan_problem
+from dtmpc_drake.planning.baselines import VANISHING, bandwidth_cost, without_tube
 from dtmpc_drake.scenario import load_scenario
 from tests.benchmarks.bench_common import (
     STAGES,
@@ -20,27 +18,6 @@ from tests.benchmarks.bench_common import (
     summary,
 )
 
-VANISHING = 1e-6
-"""Reaching rate and first layer of a plan without tube, in m/s² and m/s."""
-
-
-def without_tube(problem: Problem) -> Problem:
-    """No disturbance, no model error: the tube is a micrometre wide.
-
-    Raises:
-        ValueError: if the model is not a `DragDoubleIntegrator`.
-    """
-    if not isinstance(problem.model, DragDoubleIntegrator):
-        raise ValueError("only the drag model's error is known how to remove")
-    return dataclasses.replace(
-        problem,
-        model=dataclasses.replace(problem.model, drag_error_bound=0.0),
-        disturbance_bound=np.zeros_like(problem.disturbance_bound),
-        reaching_rate=VANISHING,
-        initial_boundary_layer=np.full_like(problem.initial_boundary_layer, VANISHING),
-        initial_error=np.zeros_like(problem.initial_error),
-    )
-
 
 def run(scenario_name: str, repeats: int) -> Section:
     """Measures plans with and without tube in turn."""
@@ -48,13 +25,14 @@ def run(scenario_name: str, repeats: int) -> Section:
     settings = dataclasses.replace(scenario.planner, backend="clarabel")
     tube = Problem.from_scenario(scenario)
     nominal = without_tube(tube)
-    low = nominal.bandwidth_min
     problems = {
         "with tube": tube,
-        "no tube, bandwidth decided": nominal,
-        "no tube, bandwidth at its minimum": dataclasses.replace(
-            nominal, bandwidth_max=low, bandwidth_floor=float(low.min())
+        "no tube, bandwidth decided": dataclasses.replace(
+            nominal,
+            bandwidth_min=tube.bandwidth_min,
+            bandwidth_max=tube.bandwidth_max,
         ),
+        "no tube, bandwidth at its minimum": nominal,
     }
     results = interleaved(
         {
@@ -65,7 +43,7 @@ def run(scenario_name: str, repeats: int) -> Section:
     )
     data = {name: summary(r) for name, r in results.items()}
     for name, row in data.items():
-        row["bandwidth_cost"] = median([_bandwidth_cost(r) for r in results[name]])
+        row["bandwidth_cost"] = median([bandwidth_cost(r) for r in results[name]])
     reference = data["with tube"]
     rows = [
         [
@@ -104,13 +82,3 @@ def run(scenario_name: str, repeats: int) -> Section:
         ],
         data=data,
     )
-
-
-def _bandwidth_cost(result: PlanningResult) -> float:
-    """The part of the cost that pays for bandwidth."""
-    problem, plan = result.problem, result.attempt
-    if plan is None:
-        return float("nan")
-    excess = plan.bandwidth_knots - problem.bandwidth_floor
-    running = problem.bandwidth_weight * (excess**2).sum(axis=1)
-    return float(np.diff(plan.knots) @ (running[1:] + running[:-1]) / 2)

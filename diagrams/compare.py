@@ -1,0 +1,257 @@
+"""Baselines: the same scenario planned with parts of the method taken away."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from diagrams.experiment import write_json
+from diagrams.monte_carlo import BATCH_SIZE, Batch, fly_all
+from diagrams.table import text_table
+from dtmpc_drake.monte_carlo import HARD, Flights, batches, choose_disturbances
+from dtmpc_drake.planning.baselines import (
+    Outcome,
+    bandwidth_cost,
+    make_baselines,
+    solve,
+)
+from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.visualization.figures import Panel, plot_plans
+
+DISTURBANCES = tuple(name for name in HARD if name != "uniform")
+"""What every plan has to fly through: the hard ones."""
+_OF_A_PLAN = (
+    "cost",
+    "input_cost",
+    "bandwidth_cost",
+    "tube_mean",
+    "tube_largest",
+    "flights",
+    "collisions",
+    "violations",
+    "effort",
+    "clearance",
+)
+OUTPUTS = ("compare.png", "compare.txt", "compare.csv", "compare.json")
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One baseline: how it was planned and how it flew.
+
+    Attributes:
+        outcome: of planning.
+        flights: through all of `DISTURBANCES`; None without a plan.
+    """
+
+    outcome: Outcome
+    flights: Flights | None
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    def numbers(self) -> dict[str, Any]:
+        """What the table says; None where there is no number.
+
+        Lengths in m, times in s.  `input_cost` and `bandwidth_cost` are the two
+        parts of `cost`; `effort` is ∫‖u‖² dt of the median flight.
+        """
+        outcome, plan, flights = self.outcome, self.outcome.plan, self.flights
+        numbers: dict[str, Any] = {
+            "name": outcome.baseline.name,
+            "feasible": plan is not None,
+            "certified": outcome.certified,
+            "message": outcome.message,
+            "plan_time_s": outcome.result.times["total"],
+        }
+        numbers |= dict.fromkeys(_OF_A_PLAN)
+        if plan is not None:
+            part = bandwidth_cost(outcome.result)
+            tube = plan.position_tube(plan.sample_times())
+            numbers |= {
+                "cost": outcome.result.cost,
+                "input_cost": outcome.result.cost - part,
+                "bandwidth_cost": part,
+                "tube_mean": tube.mean(),
+                "tube_largest": tube.max(),
+            }
+        if flights is not None:
+            outside = (flights.worst_ratios > 1).any(axis=1)
+            numbers |= {
+                "flights": len(flights),
+                "collisions": flights.collisions,
+                "violations": int(outside.sum()),
+                "effort": np.median(flights.effort),
+                "clearance": flights.smallest_clearance.min(),
+            }
+        return numbers
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Comparison:
+    """What a comparison ended with.
+
+    Attributes:
+        scenario: that was planned.
+        rows: one a baseline, as in `baselines.TITLES`.
+        files: that were written.
+    """
+
+    scenario: Scenario
+    rows: dict[str, Row]
+    files: tuple[Path, ...]
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    @property
+    def safe(self) -> bool:
+        """Whether DTMPC itself is certified and no flight of it was unsafe."""
+        row = self.rows["both"]
+        return row.outcome.certified and row.flights is not None and row.flights.safe
+
+    def table(self) -> str:
+        """All numbers as text, and below them why a plan is not certified."""
+        return to_text(self.rows)
+
+    def __repr__(self) -> str:
+        """The table."""
+        files = [f"  {path}" for path in self.files]
+        return "\n".join([self.table(), "", "files", *files])
+
+
+def run(
+    scenario: Scenario,
+    out: str | Path | None = None,
+    *,
+    trials: int = 1000,
+    batch_size: int = BATCH_SIZE,
+    scheduler: str | None = None,
+    start: Callable[[int], None] | None = None,
+    done: Callable[[Batch], None] | None = None,
+) -> Comparison:
+    """Plans all baselines, flies what can be flown, and writes `OUTPUTS`.
+
+    Args:
+        scenario: the whole experiment; its seed decides every trial, which are
+            the same for all baselines.
+        out: directory; ``out/<name of the scenario>_compare`` if left out.
+        trials: through each of `DISTURBANCES`.
+        batch_size: trials in one diagram; the results do not depend on it.
+        scheduler: address of an existing Dask cluster.
+        start: is called with the number of all trials before they fly.
+        done: is called with every batch that has ended.
+
+    Raises:
+        ScenarioError: if the scenario or an argument makes no sense.
+        OSError: if the directory cannot be written.
+    """
+    scenario.validate()
+    batches(trials, batch_size)
+    out = Path("out", f"{scenario.name}_compare") if out is None else Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+    files = [out / name for name in OUTPUTS]
+    for file in files:
+        file.unlink(missing_ok=True)
+    outcomes = [solve(baseline) for baseline in make_baselines(scenario)]
+    flown = {}
+    for outcome in outcomes:
+        if outcome.plan is None:
+            continue
+        own = outcome.baseline.scenario
+        for name in DISTURBANCES:
+            pushed = dataclasses.replace(
+                own, disturbance=choose_disturbances(own, name)[name]
+            )
+            flown[f"{outcome.baseline.name} {name}"] = pushed, outcome.plan
+    if start is not None:
+        start(trials * len(flown))
+    flights = fly_all(
+        flown, trials=trials, batch_size=batch_size, scheduler=scheduler, done=done
+    )
+    rows = {}
+    for outcome in outcomes:
+        name = outcome.baseline.name
+        own_flights = [flights[key] for key in flights if key.split()[0] == name]
+        rows[name] = Row(
+            outcome, Flights.concatenate(own_flights) if own_flights else None
+        )
+    panels = list(to_panels(rows.values()))
+    plot_plans(scenario=scenario, panels=panels).savefig(files[0])
+    files[1].write_text(to_text(rows) + "\n", encoding="utf-8")
+    numbers = [row.numbers() for row in rows.values()]
+    with open(files[2], "w", encoding="utf-8", newline="") as table:
+        writer = csv.DictWriter(table, fieldnames=list(numbers[0]))
+        writer.writeheader()
+        writer.writerows(numbers)
+    write_json(
+        files[3],
+        {
+            "scenario": scenario.name,
+            "seed": scenario.simulation.seed,
+            "disturbances": list(DISTURBANCES),
+            "trials": trials,
+            "baselines": numbers,
+        },
+    )
+    return Comparison(scenario, rows, tuple(files))
+
+
+def to_panels(rows: Iterable[Row]) -> Iterator[Panel]:
+    """The baselines in the figure: plans, or last attempts at one."""
+    for row in rows:
+        outcome = row.outcome
+        title, result = outcome.baseline.title, outcome.result
+        if outcome.plan is not None and row.flights is not None:
+            certified = "certified" if outcome.certified else "not certified"
+            title += f": {certified}, cost {result.cost:.1f},"
+            title += f" {row.flights.collisions} of {len(row.flights)} flights collide"
+            yield Panel(title, outcome.plan)
+        elif result.attempt is not None:
+            yield Panel(f"{title}: {result.status}, the last attempt", result.attempt)
+
+
+def to_text(rows: dict[str, Row]) -> str:
+    """The table as text."""
+
+    def cell(value: Any, form: str) -> str:
+        if isinstance(value, bool):
+            return "yes" if value else "no"
+        return "-" if value is None else format(value, form)
+
+    columns = {
+        "feasible": ("feasible", ""),
+        "certified": ("certified", ""),
+        "cost": ("cost", ".2f"),
+        "input_cost": ("of it input", ".2f"),
+        "tube_mean": ("tube mean", ".3f"),
+        "tube_largest": ("largest", ".3f"),
+        "effort": ("effort", ".2f"),
+        "violations": ("violations", "d"),
+        "collisions": ("collisions", "d"),
+        "flights": ("of flights", "d"),
+        "clearance": ("clearance", ".3f"),
+        "plan_time_s": ("plan s", ".2f"),
+    }
+    lines = []
+    for row in rows.values():
+        numbers = row.numbers()
+        cells = [cell(numbers[key], form) for key, (_, form) in columns.items()]
+        lines.append([row.outcome.baseline.title, *cells])
+    notes = [
+        f"{row.outcome.baseline.title}: {row.outcome.result.status}, "
+        f"{row.outcome.message}"
+        if row.outcome.plan is None
+        else f"{row.outcome.baseline.title}: {row.outcome.message}"
+        for row in rows.values()
+        if not row.outcome.certified
+    ]
+    table = text_table(["", *(title for title, _ in columns.values())], lines)
+    legend = [
+        "tube: Ω over time and axes, m; effort: ∫‖u‖² dt of the median flight;",
+        f"flights through {', '.join(DISTURBANCES)}; clearance: smallest, m",
+    ]
+    return "\n".join([table, *legend, *(["", *notes] if notes else [])])
