@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from test_diagrams import DISTURBANCES
 
 from diagrams.closed_loop import Log, MakeClosedLoop, Simulate
 from dtmpc_drake.models import IntegratorChain
@@ -19,28 +19,16 @@ from dtmpc_drake.planning import Problem, certify, plan, replan
 from dtmpc_drake.planning.replanning import carried_error, problem_on_the_way
 from dtmpc_drake.replan import Replan, counted, plans_in_force, table
 from dtmpc_drake.scenario import (
-    BangBang,
-    ColoredWind,
-    Constant,
     Controller,
-    Disturbance,
     Limits,
     Planner,
     Scenario,
     Sensing,
-    UniformHold,
     Waypoint,
     WorstCase,
     load_scenario,
 )
 
-DISTURBANCES: dict[str, Callable[[list[float]], Disturbance]] = {
-    "uniform": lambda D: UniformHold(bound=D, hold=0.05),
-    "constant": lambda D: Constant(bound=D, fraction=-1.0),
-    "bang_bang": lambda D: BangBang(bound=D, hold=0.3),
-    "worst_case": lambda D: WorstCase(bound=D),
-    "wind": lambda D: ColoredWind(bound=D, correlation_time=0.3, intensity=0.7),
-}
 _FLIGHTS: dict[tuple[str, str], Log] = {}
 
 
