@@ -107,6 +107,45 @@ def test_the_first_plan_does_not_know_what_is_not_known() -> None:
     assert log.clearance.min() > 0.1
 
 
+def test_the_bandwidth_rises_beside_what_has_just_been_found() -> None:
+    """The paper's second result."""
+    scenario, log = (
+        load_scenario("receding_horizon"),
+        flight("receding_horizon", "uniform"),
+    )
+    plans = {r.revealed: r.plan for r in log.replans if r.cause != "period"}
+
+    def bandwidth_beside(plan: Plan | None, obstacle: int) -> float:
+        assert plan is not None
+        time = plan.sample_times()
+        along = plan.reference(time)[:, 0, 1]
+        middle = scenario.obstacles[obstacle].center[1]
+        near = (along > middle - 2.0) & (along < middle)
+        return float(plan.bandwidth(time)[near].max())
+
+    assert bandwidth_beside(plans[()], 0) > 3.0  # the gap, known from the start
+    for before, after, obstacle in (
+        ((), (2, 3), 2),
+        ((), (2, 3), 3),
+        ((2, 3), (4,), 4),
+    ):
+        assert bandwidth_beside(plans[before], obstacle) < 0.8
+        assert bandwidth_beside(plans[after], obstacle) > 1.5
+
+
+def test_unknown_drag_is_no_obstacle_to_planning_again() -> None:
+    """Tube geometry and state-dependent uncertainty at once, on the way."""
+    scenario = load_scenario("receding_horizon")
+    scenario.model.drag_error_bound = 0.1
+    scenario.plant = {"drag": 0.2}
+    scenario.disturbance = WorstCase(bound=scenario.disturbance.bound)
+    scenario.planner.intervals, scenario.planner.replan_period = 48, 4.0
+    log = Simulate(scenario)
+    assert_safe(scenario, log)
+    assert {r.status for r in log.replans} == {"certified"}
+    assert len(log.replans) >= 5
+
+
 def test_plans_are_made_on_the_period_and_take_effect_after_the_delay() -> None:
     log = flight("receding_horizon", "uniform")
     planner = load_scenario("receding_horizon").planner

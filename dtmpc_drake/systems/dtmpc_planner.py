@@ -126,6 +126,10 @@ class DtmpcPlanner(LeafSystem):
     in effect `status` is ``certified``, ``kept: ...``, ``braking: ...`` or
     ``unsafe: ...``; see `Replan`.
 
+    The delay is what the scenario says, so a simulation is the same on any machine.
+    What this machine took is in the records (`Replan.solve_time`); where it is more
+    than the delay, the vehicle would need a faster one.
+
     With `ObstacleSensor` and a range of `Scenario.sensing_range_needed` there is a
     way to rest before every obstacle when it becomes known; the planner finds it by
     optimisation, from a few starts, and says ``unsafe`` if it does not.
