@@ -430,3 +430,50 @@ def test_records_compare_without_the_clock() -> None:
     assert record == dataclasses.replace(record, solve_time=9.0)
     assert record != dataclasses.replace(record, iterations=3)
     assert "period: certified" in repr(record)
+
+
+def random_field(seed: int) -> Scenario:
+    """Six pillars, and across every third field a wall; seen from the range needed."""
+    generator = np.random.default_rng(seed)
+    pillars: list[Any] = [
+        Cylinder(
+            [float(generator.uniform(-2.5, 2.5)), float(generator.uniform(3, 15))],
+            float(generator.uniform(0.4, 1.2)),
+        )
+        for _ in range(6)
+    ]
+    if seed % 3 == 0:
+        pillars.append(Ellipsoid([0.0, 11.0], [[0.0, 1.0]], 0.5))
+    bound = [0.4] * 2
+    scenario = corridor(
+        name=f"field_{seed}",
+        disturbance=list(DISTURBANCES.values())[seed % 5](bound),
+        goal=Waypoint([0.0, 18.0]),
+        duration=14.0,
+        obstacles=pillars,
+        planner=Planner(intervals=56, replan_period=2.0),
+        sensing=Sensing(range=100.0),
+    )
+    scenario.sensing.range = scenario.sensing_range_needed()
+    scenario.simulation.seed = seed
+    scenario.validate()
+    return scenario
+
+
+@pytest.mark.slow
+def test_nothing_that_is_seen_from_the_range_needed_is_ever_met() -> None:
+    ends = []
+    for seed in range(15):
+        scenario = random_field(seed)
+        log = Simulate(scenario)
+        if log.replans[0].status != "certified":
+            continue  # what is known at the start cannot be passed
+        assert_safe(scenario, log)
+        statuses = {r.status for r in log.replans}
+        assert "unsafe" not in statuses, (seed, table(log.replans))
+        ends.append("braking" in statuses)
+        if not ends[-1]:
+            end = log.reference[-1, 0]
+            np.testing.assert_allclose(end, scenario.goal.position, atol=1e-6)
+    assert len(ends) >= 10
+    assert 0 < sum(ends) < len(ends)  # both kinds of ends occur
