@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from test_diagrams import DISTURBANCES
 
 from diagrams.closed_loop import Log, MakeClosedLoop, Simulate
 from dtmpc_drake.models import IntegratorChain
@@ -19,28 +19,16 @@ from dtmpc_drake.planning import Problem, certify, plan, replan
 from dtmpc_drake.planning.replanning import carried_error, problem_on_the_way
 from dtmpc_drake.replan import Replan, counted, plans_in_force, table
 from dtmpc_drake.scenario import (
-    BangBang,
-    ColoredWind,
-    Constant,
     Controller,
-    Disturbance,
     Limits,
     Planner,
     Scenario,
     Sensing,
-    UniformHold,
     Waypoint,
     WorstCase,
     load_scenario,
 )
 
-DISTURBANCES: dict[str, Callable[[list[float]], Disturbance]] = {
-    "uniform": lambda D: UniformHold(bound=D, hold=0.05),
-    "constant": lambda D: Constant(bound=D, fraction=-1.0),
-    "bang_bang": lambda D: BangBang(bound=D, hold=0.3),
-    "worst_case": lambda D: WorstCase(bound=D),
-    "wind": lambda D: ColoredWind(bound=D, correlation_time=0.3, intensity=0.7),
-}
 _FLIGHTS: dict[tuple[str, str], Log] = {}
 
 
@@ -117,6 +105,45 @@ def test_the_first_plan_does_not_know_what_is_not_known() -> None:
     first = certify(log.replans[0].plan, everything)
     assert first.margins["obstacles"].value < -0.3
     assert log.clearance.min() > 0.1
+
+
+def test_the_bandwidth_rises_beside_what_has_just_been_found() -> None:
+    """The paper's second result."""
+    scenario, log = (
+        load_scenario("receding_horizon"),
+        flight("receding_horizon", "uniform"),
+    )
+    plans = {r.revealed: r.plan for r in log.replans if r.cause != "period"}
+
+    def bandwidth_beside(plan: Plan | None, obstacle: int) -> float:
+        assert plan is not None
+        time = plan.sample_times()
+        along = plan.reference(time)[:, 0, 1]
+        middle = scenario.obstacles[obstacle].center[1]
+        near = (along > middle - 2.0) & (along < middle)
+        return float(plan.bandwidth(time)[near].max())
+
+    assert bandwidth_beside(plans[()], 0) > 3.0  # the gap, known from the start
+    for before, after, obstacle in (
+        ((), (2, 3), 2),
+        ((), (2, 3), 3),
+        ((2, 3), (4,), 4),
+    ):
+        assert bandwidth_beside(plans[before], obstacle) < 0.8
+        assert bandwidth_beside(plans[after], obstacle) > 1.5
+
+
+def test_unknown_drag_is_no_obstacle_to_planning_again() -> None:
+    """Tube geometry and state-dependent uncertainty at once, on the way."""
+    scenario = load_scenario("receding_horizon")
+    scenario.model.drag_error_bound = 0.1
+    scenario.plant = {"drag": 0.2}
+    scenario.disturbance = WorstCase(bound=scenario.disturbance.bound)
+    scenario.planner.intervals, scenario.planner.replan_period = 48, 4.0
+    log = Simulate(scenario)
+    assert_safe(scenario, log)
+    assert {r.status for r in log.replans} == {"certified"}
+    assert len(log.replans) >= 5
 
 
 def test_plans_are_made_on_the_period_and_take_effect_after_the_delay() -> None:
@@ -403,3 +430,50 @@ def test_records_compare_without_the_clock() -> None:
     assert record == dataclasses.replace(record, solve_time=9.0)
     assert record != dataclasses.replace(record, iterations=3)
     assert "period: certified" in repr(record)
+
+
+def random_field(seed: int) -> Scenario:
+    """Six pillars, and across every third field a wall; seen from the range needed."""
+    generator = np.random.default_rng(seed)
+    pillars: list[Any] = [
+        Cylinder(
+            [float(generator.uniform(-2.5, 2.5)), float(generator.uniform(3, 15))],
+            float(generator.uniform(0.4, 1.2)),
+        )
+        for _ in range(6)
+    ]
+    if seed % 3 == 0:
+        pillars.append(Ellipsoid([0.0, 11.0], [[0.0, 1.0]], 0.5))
+    bound = [0.4] * 2
+    scenario = corridor(
+        name=f"field_{seed}",
+        disturbance=list(DISTURBANCES.values())[seed % 5](bound),
+        goal=Waypoint([0.0, 18.0]),
+        duration=14.0,
+        obstacles=pillars,
+        planner=Planner(intervals=56, replan_period=2.0),
+        sensing=Sensing(range=100.0),
+    )
+    scenario.sensing.range = scenario.sensing_range_needed()
+    scenario.simulation.seed = seed
+    scenario.validate()
+    return scenario
+
+
+@pytest.mark.slow
+def test_nothing_that_is_seen_from_the_range_needed_is_ever_met() -> None:
+    ends = []
+    for seed in range(15):
+        scenario = random_field(seed)
+        log = Simulate(scenario)
+        if log.replans[0].status != "certified":
+            continue  # what is known at the start cannot be passed
+        assert_safe(scenario, log)
+        statuses = {r.status for r in log.replans}
+        assert "unsafe" not in statuses, (seed, table(log.replans))
+        ends.append("braking" in statuses)
+        if not ends[-1]:
+            end = log.reference[-1, 0]
+            np.testing.assert_allclose(end, scenario.goal.position, atol=1e-6)
+    assert len(ends) >= 10
+    assert 0 < sum(ends) < len(ends)  # both kinds of ends occur

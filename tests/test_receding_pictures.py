@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+from test_receding_horizon import corridor
 from test_visualization import meshcat_commands
 
 from diagrams.closed_loop import Log
@@ -15,29 +16,17 @@ from dtmpc_drake.models import IntegratorChain
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid
 from dtmpc_drake.plan import Plan
 from dtmpc_drake.replan import plans_in_force
-from dtmpc_drake.scenario import (
-    Controller,
-    Limits,
-    Planner,
-    Scenario,
-    Waypoint,
-    WorstCase,
-)
+from dtmpc_drake.scenario import Planner
 from dtmpc_drake.visualization import plot_receding_horizon, plot_replans
 
 
 @pytest.fixture(scope="module")
 def experiment(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
     """A pole found on the way, then a wall across it."""
-    scenario = Scenario(
+    scenario = corridor(
         name="pole_and_wall",
         model=IntegratorChain(2, 2),
-        disturbance=WorstCase(bound=[0.3] * 2),
-        controller=Controller(slope=[2.0] * 2, initial_boundary_layer=0.2),
-        limits=Limits(input=5.0, speed=2.0),
-        start=Waypoint([0.0, 0.0]),
-        goal=Waypoint([0.0, 12.0]),
-        duration=10.0,
+        plant={},
         obstacles=[
             Cylinder([3.0, 3.0], 0.5),
             Cylinder([0.2, 5.0], 0.5, known_from=1.0),

@@ -134,7 +134,7 @@ def plan(
     report: Callable[[Iteration], None] | None = None,
     warm_start: Plan | None = None,
 ) -> PlanningResult:
-    """Plans a scenario from its start.
+    """Plans a scenario from its start, with the obstacles that are known then.
 
     Args:
         scenario: is validated first.

@@ -250,8 +250,7 @@ class Transcription:
         """
         conditions, wanted, free, correction = self._ends
         result = coefficients.copy()
-        for _ in range(2):  # the second time takes off what rounding left
-            result[free] += correction @ (wanted - conditions @ result)
+        result[free] += correction @ (wanted - conditions @ coefficients)
         return result
 
     @property

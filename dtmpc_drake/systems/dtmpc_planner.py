@@ -126,6 +126,10 @@ class DtmpcPlanner(LeafSystem):
     in effect `status` is ``certified``, ``kept: ...``, ``braking: ...`` or
     ``unsafe: ...``; see `Replan`.
 
+    The delay is what the scenario says, so a simulation is the same on any machine.
+    What this machine took is in the records (`Replan.solve_time`); where it is more
+    than the delay, the vehicle would need a faster one.
+
     With `ObstacleSensor` and a range of `Scenario.sensing_range_needed` there is a
     way to rest before every obstacle when it becomes known; the planner finds it by
     optimisation, from a few starts, and says ``unsafe`` if it does not.
@@ -195,7 +199,7 @@ class DtmpcPlanner(LeafSystem):
         plan = result.plan
         if not result.certified or plan is None:
             status = f"{status}: {result.message}"
-            plan = self._memory_plan(context)
+            plan = self._plan_in_force(context)
         first = Replan(
             time=0.0,
             hand_over=0.0,
@@ -213,7 +217,7 @@ class DtmpcPlanner(LeafSystem):
         self._set(state, self._memory_state, _Memory((first,), None, known))
         return EventStatus.Succeeded()
 
-    def _memory_plan(self, context: Any) -> Plan:
+    def _plan_in_force(self, context: Any) -> Plan:
         plan: Plan = context.get_abstract_state(int(self._plan_state)).get_value()
         return plan
 
@@ -221,7 +225,7 @@ class DtmpcPlanner(LeafSystem):
         """Takes a pending plan over, or begins with a new one."""
         period, time = self._scenario.sensing.period, context.get_time()
         before = memory = self._memory(context)
-        plan = self._memory_plan(context)
+        plan = self._plan_in_force(context)
         pending, stopping = memory.pending, False
         if pending is not None and time >= pending.hand_over - period / 2:
             if pending.plan is not None:
@@ -234,7 +238,8 @@ class DtmpcPlanner(LeafSystem):
             self._set(state, self._status_state, status)
             replans = (*memory.replans, pending)
             memory = dataclasses.replace(memory, replans=replans, pending=None)
-        if memory.pending is None:
+        ends = self._hand_over(time) >= self._scenario.duration
+        if memory.pending is None and not ends:  # what is begun now comes into effect
             known = self._known(context)
             revealed = np.flatnonzero(known & ~memory.known)
             cause = "revealed" if len(revealed) else self._due(time)
@@ -262,9 +267,7 @@ class DtmpcPlanner(LeafSystem):
 
     def _hand_over(self, time: float) -> float:
         """The first look when a plan that is begun now is ready."""
-        period = self._scenario.sensing.period
-        looks = np.ceil(self._scenario.planner.compute_delay / period - 1e-9)
-        return time + max(1.0, float(looks)) * period
+        return time + self._scenario.planning_delay()
 
     def _replan(
         self, context: Any, plan: Plan, known: BoolArray, revealed: Any, cause: str
