@@ -18,6 +18,7 @@ from dtmpc_drake.planning.best_side import SWITCH, affordable, plan_best_side
 from dtmpc_drake.planning.sides import Way, propose, sides_of
 from dtmpc_drake.scenario import Scenario, ScenarioError, Waypoint, load_scenario
 from dtmpc_drake.visualization import plot_candidates
+from tests.test_random_scenarios import random_scenario
 
 KNOWN = "known_environment"
 
@@ -388,4 +389,16 @@ def test_more_random_fields_are_solved_than_from_the_straight_line():
     assert len(search) >= 25
     for c in found:
         if c.straight.certified:
-            assert c.search.cost <= 1.05 * c.straight.cost, c
+            assert c.search.cost <= c.straight.cost, c
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 16, 18])
+def test_a_search_is_never_dearer_among_balls_and_ellipsoids(seed):
+    """There, fine programs sometimes end far from where their coarse ones did."""
+    scenario = random_scenario(seed)
+    straight = plan(scenario)
+    scenario.planner.initial_guess = "best_side"
+    search = plan(scenario)
+    assert straight.certified and search.certified
+    assert search.cost <= straight.cost
