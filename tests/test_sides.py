@@ -346,6 +346,18 @@ def test_a_dear_plan_is_left_for_a_clearly_cheaper_side(known_result):
     np.testing.assert_allclose(again.plan.reference(0.5), reference, atol=1e-6)
 
 
+def test_a_search_on_the_way_is_as_safe_and_passes_on_better_sides():
+    """Every plan on the way searches; the gap is left for the open side."""
+    scenario = load_scenario("receding_horizon")
+    scenario.planner.initial_guess = "best_side"
+    scenario.planner.time_budget = 0.4
+    log = Simulate(scenario)
+    assert log.status == "certified"
+    assert log.tube_ratios.max() <= 1 and log.clearance.min() > 0
+    path = Way.along("-----", log.position)
+    assert sides_of(Problem.from_scenario(load_scenario(KNOWN)), path)[:2] != "RL"
+
+
 # Files and pictures.
 
 

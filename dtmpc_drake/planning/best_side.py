@@ -308,9 +308,9 @@ def affordable(problem: Problem, settings: Planner) -> tuple[int, int]:
     """
     varies = problem.model.error_bound_varies
     budget = settings.time_budget / (settings.intervals / PRICED)
-    solves = max(2, math.floor(2 / 3 * budget / COARSE_PRICE[varies]))
+    solves = max(2, math.floor(2 / 3 * budget / COARSE_PRICE[varies] + 1e-9))
     left = budget - solves * COARSE_PRICE[varies]
-    return solves, max(2, math.floor(left / FINE_PRICE[varies]))
+    return solves, max(2, math.floor(left / FINE_PRICE[varies] + 1e-9))
 
 
 def _coarse_intervals(settings: Planner) -> int:
