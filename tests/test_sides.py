@@ -269,6 +269,23 @@ def test_without_sides_the_straight_line_is_the_only_candidate():
     assert [c.start for c in result.candidates] == ["straight line"]
 
 
+class Unproven(IntegratorChain):
+    """A model whose bounds nobody has proven, so that no plan is certified."""
+
+    bounds_certified = False
+
+
+def test_sides_matter_for_models_with_unproven_bounds_too():
+    pair = [Cylinder([-0.95, 4.0], 0.7), Cylinder([0.95, 4.0], 0.7)]
+    model = Unproven(num_outputs=2, order=2)
+    scenario = flight([*pair, Cylinder([0.1, 6.0], 0.7)], outputs=2, model=model)
+    search = plan(scenario)
+    scenario.planner.initial_guess = "straight_line"
+    straight = plan(scenario)
+    assert search.status == straight.status == "not_certified"
+    assert search.cost < 0.9 * straight.cost
+
+
 def test_a_diagram_plans_on_the_best_side():
     """The search's threads run inside an event of a running simulator."""
     scenario = flight([Cylinder([0.1, 4.0], 0.8)], outputs=2)

@@ -219,14 +219,14 @@ def plan_best_side(
             count = min(FINE, fine - len(found))
             batch, queue = queue[:count], queue[count:]
             found |= dict(zip(batch, pool.map(plan_finely, batch), strict=True))
-            if any(found[k].certified for k in batch):
+            if any(_is_good(found[k]) for k in batch):
                 break
-    certified = [k for k in found if found[k].certified]
-    chosen = min(certified, key=lambda k: (found[k].cost, k), default=None)
+    good = [k for k in found if _is_good(found[k])]
+    chosen = min(good, key=lambda k: (found[k].cost, k), default=None)
     best = found[chosen] if chosen is not None else None
     if (
         earlier is not None
-        and earlier.certified
+        and _is_good(earlier)
         and (best is None or best.cost > SWITCH * earlier.cost)
     ):
         chosen, best = None, earlier
@@ -235,7 +235,7 @@ def plan_best_side(
         if earlier is not None or chosen not in found:
             found[chosen] = solve(problem, local, warm_start=None)
         best = found[chosen]
-        if earlier is not None and not best.certified:
+        if earlier is not None and not _is_good(best):
             chosen, best = None, earlier
     table = [
         _candidate(coarse[k], found.get(k), status[k], chosen=k == chosen)
@@ -250,6 +250,13 @@ def plan_best_side(
         times={**best.times, "search": total - best.times["total"], "total": total},
         candidates=tuple(table),
     )
+
+
+def _is_good(result: PlanningResult) -> bool:
+    """Whether a plan is certified, or would be if the model's bounds were proven."""
+    if result.plan is None or result.certificate is None:
+        return False
+    return result.certificate.worst[1].value >= 0
 
 
 def _or_coarse(result: PlanningResult, coarse: _Coarse) -> PlanningResult:
