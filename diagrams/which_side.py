@@ -1,7 +1,7 @@
 """Which side of each obstacle: starts from the straight line and from all sides.
 
 ``python -m diagrams.which_side`` runs the scenario ``best_side`` and then compares
-both initial guesses on thirty random fields, which takes about a minute and a half.
+both initial guesses on thirty random fields, which takes a minute or two.
 """
 
 from __future__ import annotations

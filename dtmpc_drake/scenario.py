@@ -216,7 +216,8 @@ class Planner:
         initial_guess: ``straight_line`` (the paper's), or ``best_side``, which
             also tries other sides of the obstacles and takes the cheapest plan.
         time_budget: for ``best_side``, in s.  It buys candidates at fixed prices
-            (see `planning.best_side`), so a plan never depends on the clock.
+            (see `planning.best_side`), so a plan never depends on the clock.  Every
+            plan on the way has it, too: `compute_delay` should not be shorter.
         replan_period: between two plans, in s; if left out, there is a new plan
             only where a new obstacle is known.
         compute_delay: from a measurement until the plan that is made from it

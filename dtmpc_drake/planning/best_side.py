@@ -43,14 +43,12 @@ COARSEST = 14
 """Candidates are solved on half of the plan's intervals, but no fewer than this."""
 ITERATIONS = 5
 """Convex programs for each candidate: enough to compare costs within some percent."""
-PRICES = (0.05, 0.2)
-"""Of a coarse solve on `PRICED` intervals, in s, where Δ is constant and where it
-varies."""
-PRICED = 28
-FINE_PRICE = 2
-"""Of planning one candidate to its end, in coarse solves."""
-FINE_ITERATIONS = 15
-"""At most, for each of them; a warm start rarely needs more than three."""
+COARSE_PRICE, FINE_PRICE = (0.05, 0.2), (0.1, 0.8)
+"""Of a coarse solve, and of planning a candidate to its end, for a plan of `PRICED`
+intervals, in s; where Δ is constant and where it varies."""
+PRICED = 56
+FINE_ITERATIONS = 10
+"""At most, to plan a candidate to its end; a warm start rarely needs more than 3."""
 FINE = 4
 """Candidates that are planned to their end at once."""
 RANKING = 100.0
@@ -186,8 +184,6 @@ def plan_best_side(
     """
     begin = time.perf_counter()
     local = dataclasses.replace(settings, initial_guess="straight_line")
-    if not np.isfinite(problem.goal[0]).all():  # to rest anywhere: no ways, no sides
-        return solve(problem, local, warm_start=warm_start)
     earlier = None
     if warm_start is not None:
         earlier = solve(problem, local, warm_start=warm_start)
@@ -219,17 +215,18 @@ def plan_best_side(
             # Before all others, so that a search is never dearer than none.
             queue = [0, *(k for k in queue if k != 0)]
         found: dict[int, PlanningResult] = {}
-        while queue and len(found) + FINE <= fine:
-            batch, queue = queue[:FINE], queue[FINE:]
+        while queue and len(found) < fine:
+            count = min(FINE, fine - len(found))
+            batch, queue = queue[:count], queue[count:]
             found |= dict(zip(batch, pool.map(plan_finely, batch), strict=True))
-            if any(found[k].certified for k in batch):
+            if any(_is_good(found[k]) for k in batch):
                 break
-    certified = [k for k in found if found[k].certified]
-    chosen = min(certified, key=lambda k: (found[k].cost, k), default=None)
+    good = [k for k in found if _is_good(found[k])]
+    chosen = min(good, key=lambda k: (found[k].cost, k), default=None)
     best = found[chosen] if chosen is not None else None
     if (
         earlier is not None
-        and earlier.certified
+        and _is_good(earlier)
         and (best is None or best.cost > SWITCH * earlier.cost)
     ):
         chosen, best = None, earlier
@@ -238,7 +235,7 @@ def plan_best_side(
         if earlier is not None or chosen not in found:
             found[chosen] = solve(problem, local, warm_start=None)
         best = found[chosen]
-        if earlier is not None and not best.certified:
+        if earlier is not None and not _is_good(best):
             chosen, best = None, earlier
     table = [
         _candidate(coarse[k], found.get(k), status[k], chosen=k == chosen)
@@ -253,6 +250,13 @@ def plan_best_side(
         times={**best.times, "search": total - best.times["total"], "total": total},
         candidates=tuple(table),
     )
+
+
+def _is_good(result: PlanningResult) -> bool:
+    """Whether a plan is certified, or would be if the model's bounds were proven."""
+    if result.plan is None or result.certificate is None:
+        return False
+    return result.certificate.worst[1].value >= 0
 
 
 def _or_coarse(result: PlanningResult, coarse: _Coarse) -> PlanningResult:
@@ -306,13 +310,14 @@ def _are_same(one: _Coarse, other: _Coarse) -> bool:
 def affordable(problem: Problem, settings: Planner) -> tuple[int, int]:
     """What the budget buys: coarse solves, and plans at most.
 
-    There is enough for the straight line and one way, and for `FINE` plans, in any
-    budget.  Two thirds of the budget, at most, are for the coarse solves.
+    In any budget there is enough for the straight line and one way.  Two thirds of
+    a larger one are for the coarse solves.
     """
-    price = PRICES[problem.model.error_bound_varies]
-    units = settings.time_budget / (price * _coarse_intervals(settings) / PRICED)
-    solves = max(2, math.floor(2 / 3 * units))
-    return solves, max(FINE, math.floor((units - solves) / FINE_PRICE))
+    varies = problem.model.error_bound_varies
+    budget = settings.time_budget / (settings.intervals / PRICED)
+    solves = max(2, math.floor(2 / 3 * budget / COARSE_PRICE[varies] + 1e-9))
+    left = budget - solves * COARSE_PRICE[varies]
+    return solves, max(2, math.floor(left / FINE_PRICE[varies] + 1e-9))
 
 
 def _coarse_intervals(settings: Planner) -> int:

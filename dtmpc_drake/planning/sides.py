@@ -1,6 +1,6 @@
 """Which side of each obstacle: distinct ways from start to goal, shortest first.
 
-The optimisation finds the best plan near its start and never jumps over an
+The optimisation finds the best plan near its start and hardly ever jumps over an
 obstacle.  So the starts have to differ in the sides on which they pass.  For k
 obstacles there are 2^k combinations, but few of them are short, and a graph
 search finds those first:

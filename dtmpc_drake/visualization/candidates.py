@@ -78,7 +78,7 @@ def plot_candidates(
     Args:
         scenario: gives the obstacles.
         plan: that was chosen, with at least two outputs.
-        candidates: in the order of the bars.
+        candidates: in any order.
 
     Returns:
         A figure, to be saved with ``savefig``.
@@ -91,7 +91,7 @@ def plot_candidates(
     samples = plan.sample()
     coloring = Coloring.along(plan, samples["time"], "bandwidth")
     view = View.from_above(scenario, samples, coloring)
-    good = [c for c in candidates if _keeps(c)]
+    good = sorted((c for c in candidates if _keeps(c)), key=_cost)
     costs = np.array([_cost(c) for c in good] or [1.0])
     colors = Normalize(np.log(costs.min()), np.log(1.05 * costs.max()))
     low, high = view.window()

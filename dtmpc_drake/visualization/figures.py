@@ -479,7 +479,7 @@ def color_bar(figure: Figure, axes: list[Axes], coloring: Coloring) -> None:
     """What the colours mean, beside all of these axes."""
     mappable = ScalarMappable(Normalize(coloring.low, coloring.high), coloring.colormap)
     bar = figure.colorbar(mappable, ax=axes, pad=0.015, fraction=0.03, aspect=28)
-    bar.set_label(f"{coloring.label} ({coloring.unit})")
+    bar.set_label(f"{coloring.label} ({coloring.unit})", fontsize=9)
 
 
 def _legend(
