@@ -139,7 +139,7 @@ def run(
         scenario: the whole experiment; its seed decides every trial, which are
             the same for all baselines.
         out: directory; ``out/<name of the scenario>_compare`` if left out.
-        trials: through each of `DISTURBANCES`.
+        trials: of each plan, shared by `DISTURBANCES` and rounded up.
         batch_size: trials in one diagram; the results do not depend on it.
         scheduler: address of an existing Dask cluster.
         start: is called with the number of all trials before they fly.
@@ -167,10 +167,11 @@ def run(
                 own, disturbance=choose_disturbances(own, name)[name]
             )
             flown[f"{outcome.baseline.name} {name}"] = pushed, outcome.plan
+    each = -(-trials // len(DISTURBANCES))
     if start is not None:
-        start(trials * len(flown))
+        start(each * len(flown))
     flights = fly_all(
-        flown, trials=trials, batch_size=batch_size, scheduler=scheduler, done=done
+        flown, trials=each, batch_size=batch_size, scheduler=scheduler, done=done
     )
     rows = {}
     for outcome in outcomes:
@@ -193,7 +194,6 @@ def run(
             "scenario": scenario.name,
             "seed": scenario.simulation.seed,
             "disturbances": list(DISTURBANCES),
-            "trials": trials,
             "baselines": numbers,
         },
     )

@@ -209,7 +209,7 @@ def _connected(scheduler: str | None, *, tasks: int) -> Iterator[Any]:
             cluster = LocalCluster(
                 n_workers=min(tasks, os.cpu_count() or 1),
                 threads_per_worker=1,
-                dashboard_address=None,
+                dashboard_address="127.0.0.1:0",  # any free port; nobody looks
             )
             client = Client(stack.enter_context(cluster))
         yield stack.enter_context(client)

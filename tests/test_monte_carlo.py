@@ -23,12 +23,11 @@ from typer.testing import CliRunner
 
 from diagrams.__main__ import app
 from diagrams.closed_loop import Log, MakeClosedLoop, Simulate, SimulateTrials
-from diagrams.monte_carlo import OUTPUTS, Batch, fly, fly_all
+from diagrams.monte_carlo import OUTPUTS, Batch, fly, fly_all, reduce
 from dtmpc_drake.models import DragDoubleIntegrator
 from dtmpc_drake.monte_carlo import (
     HARD,
     Flights,
-    Trial,
     batches,
     choose_disturbances,
     draw_trials,
@@ -244,7 +243,7 @@ def test_a_violation_is_counted(flown: tuple[Scenario, Plan]) -> None:
     allowed = draw_trials(scenario, range(2))
     excess = dataclasses.replace(allowed[0], parameters={"drag": 20.0})
     trials = [*allowed, excess]
-    flights = reduced(SimulateTrials(scenario, plan=chosen, trials=trials), trials)
+    flights = reduce(SimulateTrials(scenario, plan=chosen, trials=trials), trials)
     assert flights.violations["layer"] == flights.violations["position"] == 1
     assert not flights.safe
     assert flights.summary()["worst_position_trial"] == excess.index
@@ -258,17 +257,6 @@ def test_a_collision_is_counted(flown: tuple[Scenario, Plan]) -> None:
     assert not any(flights.violations.values())
     assert flights.collisions == 3
     assert not flights.safe
-
-
-def reduced(log: Log, trials: list[Trial]) -> Flights:
-    return Flights.reduce(
-        trials,
-        time=log.time,
-        position=log.position,
-        control=log.control,
-        tube_ratios=log.tube_ratios,
-        clearance=log.clearance,
-    )
 
 
 def test_what_is_kept_of_a_flight_is_what_the_log_says(
