@@ -84,6 +84,9 @@ def fly_all(
 ) -> dict[str, Flights]:
     """Flies plans many times each, spread over workers; see `spread`.
 
+    The same bits come back from every cluster that has the same versions of the
+    libraries installed.
+
     Args:
         flown: a scenario and the plan to fly in it, by name.
         trials: of each.

@@ -26,7 +26,7 @@ from diagrams.closed_loop import Log, MakeClosedLoop, Simulate, SimulateTrials
 from diagrams.monte_carlo import OUTPUTS, Batch, fly, fly_all, reduce
 from dtmpc_drake.models import DragDoubleIntegrator
 from dtmpc_drake.monte_carlo import (
-    HARD,
+    KINDS,
     Flights,
     batches,
     choose_disturbances,
@@ -128,7 +128,7 @@ def test_true_parameters_are_spread_over_all_that_the_model_allows() -> None:
 def test_the_hard_disturbances_have_the_bound_of_the_scenario() -> None:
     scenario = short(disturbance=UniformHold(bound=[0.1, 0.2, 0.3], hold=0.07))
     chosen = choose_disturbances(scenario, "all")
-    assert list(chosen) == list(HARD)
+    assert list(chosen) == list(KINDS)
     assert all(d.bound == [0.1, 0.2, 0.3] for d in chosen.values())
     assert chosen["uniform"] == scenario.disturbance  # its own hold, too
     own = dataclasses.replace(scenario, disturbance=Constant(bound=[0.1] * 3))
@@ -176,7 +176,7 @@ MODELS: dict[str, Callable[[], Scenario]] = {
 
 
 @pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("disturbance", HARD)
+@pytest.mark.parametrize("disturbance", KINDS)
 def test_a_trial_flies_in_any_batch_as_it_flies_alone(
     model: str, disturbance: str
 ) -> None:
@@ -211,7 +211,7 @@ def test_trials_need_a_plan(flown: tuple[Scenario, Plan]) -> None:
         MakeClosedLoop(flown[0], trials=draw_trials(flown[0], range(2)))
 
 
-@pytest.mark.parametrize("disturbance", HARD)
+@pytest.mark.parametrize("disturbance", KINDS)
 def test_no_trial_leaves_its_tube(
     flown: tuple[Scenario, Plan], disturbance: str
 ) -> None:
@@ -232,7 +232,7 @@ def test_no_trial_of_the_shipped_experiments_is_unsafe(name: str) -> None:
     scenario = load_scenario(name)
     chosen = planned(scenario)
     flights = fly_all(
-        {d: (through(scenario, d), chosen) for d in HARD}, trials=500, batch_size=250
+        {d: (through(scenario, d), chosen) for d in KINDS}, trials=500, batch_size=250
     )
     assert all(f.safe for f in flights.values()), flights
 
