@@ -16,9 +16,11 @@ from typing import Any
 import numpy as np
 import pytest
 from models_for_tests import PlanarOnSlope, ThirdOrderPlanar
+from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from pydrake.common import RandomDistribution, RandomGenerator
+from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.primitives import RandomSource
+from pydrake.systems.primitives import FirstOrderTaylorApproximation, RandomSource
 from typer.testing import CliRunner
 
 from diagrams.__main__ import app
@@ -47,7 +49,7 @@ from dtmpc_drake.scenario import (
     Waypoint,
     load_scenario,
 )
-from dtmpc_drake.systems import TrialNoise, hold_plan
+from dtmpc_drake.systems import Plant, SlidingModeTracker, TrialNoise, hold_plan
 from dtmpc_drake.visualization import plot_plan, plot_quantiles
 
 
@@ -204,6 +206,36 @@ def test_the_log_of_many_trials_has_the_extremes_of_each(
     for name, value in log.extremes().items():
         pick = min if name == "smallest_clearance" else max
         assert value == pick(seen[name] for seen in each)
+
+
+def test_trials_do_not_see_each_other() -> None:
+    """Plant and tracker keep their scalar types, and their blocks apart."""
+    scenario = short()
+    size = 2 * 6
+    plant = Plant(model=scenario.model, parameters={"drag": [0.0, 0.2]}, trials=2)
+    context = plant.CreateDefaultContext()
+    state = np.tile([0.0, 0.0, 0.0, 0.1, 1.0, 0.3], 2)
+    context.SetContinuousState(state)
+    for name in ("control", "disturbance"):
+        plant.GetInputPort(name).FixValue(context, np.zeros(6))
+    index = plant.GetInputPort("control").get_index()
+    A = FirstOrderTaylorApproximation(
+        plant, context, index, plant.GetOutputPort("state").get_index()
+    ).A()
+    assert not A[:6, 6:].any() and not A[6:, :6].any()
+    assert A[4, 4] == 0.0 and A[10, 10] < -0.2  # each has its own drag
+
+    tracker = SlidingModeTracker(scenario=scenario, trials=2).ToAutoDiffXd()
+    context = tracker.CreateDefaultContext()
+    inputs = {"state": InitializeAutoDiff(state).ravel()}
+    inputs["plan"] = Value[object](hold_plan(scenario))
+    for name, value in inputs.items():
+        tracker.GetInputPort(name).FixValue(context, value)
+    gradient = ExtractGradient(tracker.GetOutputPort("control").Eval(context))
+    assert gradient.shape == (6, size)
+    assert not gradient[:3, 6:].any() and not gradient[3:, :6].any()
+    np.testing.assert_array_equal(gradient[:3, :6], gradient[3:, 6:])
+    assert gradient[:3, :6].any()
 
 
 def test_trials_need_a_plan(flown: tuple[Scenario, Plan]) -> None:
