@@ -55,7 +55,10 @@ SeedOption = Annotated[
     typer.Option(metavar="N", help="Of everything random, instead of the file's."),
 ]
 TrialsOption = Annotated[
-    str, typer.Option(metavar="N", help="Flights through each disturbance.")
+    str,
+    typer.Option(
+        metavar="N", help="Flights: through each disturbance, or of each plan."
+    ),
 ]
 SchedulerOption = Annotated[
     str | None,
@@ -164,6 +167,8 @@ def compare(
     scheduler: SchedulerOption = None,
 ) -> None:
     """Plan a scenario with and without parts of the method, and fly each plan.
+
+    The flights of a plan are shared by bang_bang, worst_case and wind.
 
     Exits with 0 if the whole method's plan is certified and no flight of it left
     its tube or hit anything, else with 3.

@@ -13,7 +13,7 @@ import numpy as np
 from diagrams.experiment import write_json
 from diagrams.monte_carlo import BATCH_SIZE, Batch, fly_all
 from diagrams.table import text_table
-from dtmpc_drake.monte_carlo import HARD, Flights, batches, choose_disturbances
+from dtmpc_drake.monte_carlo import KINDS, Flights, batches, choose_disturbances
 from dtmpc_drake.planning.baselines import (
     Outcome,
     bandwidth_cost,
@@ -23,7 +23,7 @@ from dtmpc_drake.planning.baselines import (
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.visualization.figures import Panel, plot_plans
 
-DISTURBANCES = tuple(name for name in HARD if name != "uniform")
+DISTURBANCES = tuple(name for name in KINDS if name != "uniform")
 """What every plan has to fly through: the hard ones."""
 _OF_A_PLAN = (
     "cost",
@@ -135,11 +135,13 @@ def run(
 ) -> Comparison:
     """Plans all baselines, flies what can be flown, and writes `OUTPUTS`.
 
+    A single output has no figure.
+
     Args:
         scenario: the whole experiment; its seed decides every trial, which are
             the same for all baselines.
         out: directory; ``out/<name of the scenario>_compare`` if left out.
-        trials: through each of `DISTURBANCES`.
+        trials: of each plan, shared by `DISTURBANCES` and rounded up.
         batch_size: trials in one diagram; the results do not depend on it.
         scheduler: address of an existing Dask cluster.
         start: is called with the number of all trials before they fly.
@@ -167,10 +169,11 @@ def run(
                 own, disturbance=choose_disturbances(own, name)[name]
             )
             flown[f"{outcome.baseline.name} {name}"] = pushed, outcome.plan
+    each = -(-trials // len(DISTURBANCES))
     if start is not None:
-        start(trials * len(flown))
+        start(each * len(flown))
     flights = fly_all(
-        flown, trials=trials, batch_size=batch_size, scheduler=scheduler, done=done
+        flown, trials=each, batch_size=batch_size, scheduler=scheduler, done=done
     )
     rows = {}
     for outcome in outcomes:
@@ -179,21 +182,23 @@ def run(
         rows[name] = Row(
             outcome, Flights.concatenate(own_flights) if own_flights else None
         )
-    panels = list(to_panels(rows.values()))
-    plot_plans(scenario=scenario, panels=panels).savefig(files[0])
-    files[1].write_text(to_text(rows) + "\n", encoding="utf-8")
+    if scenario.model.num_outputs > 1:
+        panels = list(to_panels(rows.values()))
+        plot_plans(scenario=scenario, panels=panels).savefig(out / OUTPUTS[0])
+    else:  # there is no field to look at
+        files.remove(out / OUTPUTS[0])
+    files[-3].write_text(to_text(rows) + "\n", encoding="utf-8")
     numbers = [row.numbers() for row in rows.values()]
-    with open(files[2], "w", encoding="utf-8", newline="") as table:
+    with open(files[-2], "w", encoding="utf-8", newline="") as table:
         writer = csv.DictWriter(table, fieldnames=list(numbers[0]))
         writer.writeheader()
         writer.writerows(numbers)
     write_json(
-        files[3],
+        files[-1],
         {
             "scenario": scenario.name,
             "seed": scenario.simulation.seed,
             "disturbances": list(DISTURBANCES),
-            "trials": trials,
             "baselines": numbers,
         },
     )

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
-from diagrams.closed_loop import SimulateTrials
+from diagrams.closed_loop import Log, SimulateTrials
 from diagrams.experiment import color_of, summarize, write_json
 from diagrams.table import text_table
 from dtmpc_drake.monte_carlo import (
     Flights,
+    Trial,
     batches,
     choose_disturbances,
     draw_trials,
@@ -56,7 +57,13 @@ class Batch:
 def fly(batch: Batch) -> Flights:
     """Flies a batch in one diagram and keeps what is reported."""
     trials = draw_trials(batch.scenario, batch.numbers)
-    log = SimulateTrials(batch.scenario, plan=batch.plan, trials=trials)
+    return reduce(
+        SimulateTrials(batch.scenario, plan=batch.plan, trials=trials), trials
+    )
+
+
+def reduce(log: Log, trials: Sequence[Trial]) -> Flights:
+    """Keeps of the log of many trials what is reported."""
     return Flights.reduce(
         trials,
         time=log.time,
@@ -76,6 +83,9 @@ def fly_all(
     done: Callable[[Batch], None] | None = None,
 ) -> dict[str, Flights]:
     """Flies plans many times each, spread over workers; see `spread`.
+
+    The same bits come back from every cluster that has the same versions of the
+    libraries installed.
 
     Args:
         flown: a scenario and the plan to fly in it, by name.

@@ -94,7 +94,7 @@ def draw_trials(scenario: Scenario, indices: Iterable[int]) -> list[Trial]:
     return trials
 
 
-HARD: dict[str, Callable[[list[float]], Disturbance]] = {
+KINDS: dict[str, Callable[[list[float]], Disturbance]] = {
     "uniform": lambda bound: UniformHold(bound=bound),
     "bang_bang": lambda bound: BangBang(bound=bound),
     "worst_case": lambda bound: WorstCase(bound=bound),
@@ -108,7 +108,7 @@ def choose_disturbances(scenario: Scenario, choice: str) -> dict[str, Disturbanc
 
     Args:
         scenario: whose own disturbance stands in for the one of its kind.
-        choice: one of `HARD`, ``all`` of them, or ``scenario`` for its own.
+        choice: one of `KINDS`, ``all`` of them, or ``scenario`` for its own.
 
     Raises:
         ScenarioError: if the choice is none of these.
@@ -116,11 +116,11 @@ def choose_disturbances(scenario: Scenario, choice: str) -> dict[str, Disturbanc
     own = scenario.disturbance
     if choice == "scenario":
         return {choice: own}
-    names = list(HARD) if choice == "all" else [choice]
-    if not set(names) <= set(HARD):
-        allowed = ", ".join((*HARD, "all", "scenario"))
+    names = list(KINDS) if choice == "all" else [choice]
+    if not set(names) <= set(KINDS):
+        allowed = ", ".join((*KINDS, "all", "scenario"))
         raise ScenarioError("disturbance", choice, f"one of {allowed}")
-    made = {name: HARD[name](list(own.bound)) for name in names}
+    made = {name: KINDS[name](list(own.bound)) for name in names}
     return {n: own if type(own) is type(d) else d for n, d in made.items()}
 
 
@@ -209,7 +209,7 @@ def _connected(scheduler: str | None, *, tasks: int) -> Iterator[Any]:
             cluster = LocalCluster(
                 n_workers=min(tasks, os.cpu_count() or 1),
                 threads_per_worker=1,
-                dashboard_address=None,
+                dashboard_address="127.0.0.1:0",  # any free port; nobody looks
             )
             client = Client(stack.enter_context(cluster))
         yield stack.enter_context(client)

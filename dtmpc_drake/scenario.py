@@ -259,7 +259,8 @@ class Simulation:
 
     Attributes:
         integration_scheme: a name that Drake's ``SimulatorConfig`` takes.
-        max_step_size: in s.
+        max_step_size: of every step, in s; what happens at fixed times, such as
+            a new value of the disturbance, shortens one.
         seed: of everything random.
     """
 

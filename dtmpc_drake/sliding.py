@@ -107,4 +107,4 @@ def control(
         - gain * saturation(s / boundary_layer)
     )
     inverse = model.inverse_input_matrix(state)
-    return np.asarray((inverse * demand[..., None, :]).sum(axis=-1))
+    return np.asarray(np.einsum("...ij,...j->...i", inverse, demand))

@@ -192,7 +192,7 @@ def invoke(*arguments: object) -> Any:
 def test_the_command_compares(tmp_path: Path) -> None:
     file, out = tmp_path / "short.yaml", tmp_path / "out"
     file.write_text(short().to_yaml(), encoding="utf-8")
-    result = invoke(file, "--trials", 4, "--out", out)
+    result = invoke(file, "--trials", 10, "--out", out)
     assert result.exit_code == 0, result.output
     assert {path.name for path in out.iterdir()} == set(OUTPUTS)
     data = json.loads((out / "compare.json").read_text(encoding="utf-8"))

@@ -16,19 +16,20 @@ from typing import Any
 import numpy as np
 import pytest
 from models_for_tests import PlanarOnSlope, ThirdOrderPlanar
+from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from pydrake.common import RandomDistribution, RandomGenerator
+from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.primitives import RandomSource
+from pydrake.systems.primitives import FirstOrderTaylorApproximation, RandomSource
 from typer.testing import CliRunner
 
 from diagrams.__main__ import app
 from diagrams.closed_loop import Log, MakeClosedLoop, Simulate, SimulateTrials
-from diagrams.monte_carlo import OUTPUTS, Batch, fly, fly_all
+from diagrams.monte_carlo import OUTPUTS, Batch, fly, fly_all, reduce
 from dtmpc_drake.models import DragDoubleIntegrator
 from dtmpc_drake.monte_carlo import (
-    HARD,
+    KINDS,
     Flights,
-    Trial,
     batches,
     choose_disturbances,
     draw_trials,
@@ -48,7 +49,7 @@ from dtmpc_drake.scenario import (
     Waypoint,
     load_scenario,
 )
-from dtmpc_drake.systems import TrialNoise, hold_plan
+from dtmpc_drake.systems import Plant, SlidingModeTracker, TrialNoise, hold_plan
 from dtmpc_drake.visualization import plot_plan, plot_quantiles
 
 
@@ -129,7 +130,7 @@ def test_true_parameters_are_spread_over_all_that_the_model_allows() -> None:
 def test_the_hard_disturbances_have_the_bound_of_the_scenario() -> None:
     scenario = short(disturbance=UniformHold(bound=[0.1, 0.2, 0.3], hold=0.07))
     chosen = choose_disturbances(scenario, "all")
-    assert list(chosen) == list(HARD)
+    assert list(chosen) == list(KINDS)
     assert all(d.bound == [0.1, 0.2, 0.3] for d in chosen.values())
     assert chosen["uniform"] == scenario.disturbance  # its own hold, too
     own = dataclasses.replace(scenario, disturbance=Constant(bound=[0.1] * 3))
@@ -177,7 +178,7 @@ MODELS: dict[str, Callable[[], Scenario]] = {
 
 
 @pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("disturbance", HARD)
+@pytest.mark.parametrize("disturbance", KINDS)
 def test_a_trial_flies_in_any_batch_as_it_flies_alone(
     model: str, disturbance: str
 ) -> None:
@@ -207,12 +208,42 @@ def test_the_log_of_many_trials_has_the_extremes_of_each(
         assert value == pick(seen[name] for seen in each)
 
 
+def test_trials_do_not_see_each_other() -> None:
+    """Plant and tracker keep their scalar types, and their blocks apart."""
+    scenario = short()
+    size = 2 * 6
+    plant = Plant(model=scenario.model, parameters={"drag": [0.0, 0.2]}, trials=2)
+    context = plant.CreateDefaultContext()
+    state = np.tile([0.0, 0.0, 0.0, 0.1, 1.0, 0.3], 2)
+    context.SetContinuousState(state)
+    for name in ("control", "disturbance"):
+        plant.GetInputPort(name).FixValue(context, np.zeros(6))
+    index = plant.GetInputPort("control").get_index()
+    A = FirstOrderTaylorApproximation(
+        plant, context, index, plant.GetOutputPort("state").get_index()
+    ).A()
+    assert not A[:6, 6:].any() and not A[6:, :6].any()
+    assert A[4, 4] == 0.0 and A[10, 10] < -0.2  # each has its own drag
+
+    tracker = SlidingModeTracker(scenario=scenario, trials=2).ToAutoDiffXd()
+    context = tracker.CreateDefaultContext()
+    inputs = {"state": InitializeAutoDiff(state).ravel()}
+    inputs["plan"] = Value[object](hold_plan(scenario))
+    for name, value in inputs.items():
+        tracker.GetInputPort(name).FixValue(context, value)
+    gradient = ExtractGradient(tracker.GetOutputPort("control").Eval(context))
+    assert gradient.shape == (6, size)
+    assert not gradient[:3, 6:].any() and not gradient[3:, :6].any()
+    np.testing.assert_array_equal(gradient[:3, :6], gradient[3:, 6:])
+    assert gradient[:3, :6].any()
+
+
 def test_trials_need_a_plan(flown: tuple[Scenario, Plan]) -> None:
     with pytest.raises(ValueError, match="a given plan"):
         MakeClosedLoop(flown[0], trials=draw_trials(flown[0], range(2)))
 
 
-@pytest.mark.parametrize("disturbance", HARD)
+@pytest.mark.parametrize("disturbance", KINDS)
 def test_no_trial_leaves_its_tube(
     flown: tuple[Scenario, Plan], disturbance: str
 ) -> None:
@@ -233,7 +264,7 @@ def test_no_trial_of_the_shipped_experiments_is_unsafe(name: str) -> None:
     scenario = load_scenario(name)
     chosen = planned(scenario)
     flights = fly_all(
-        {d: (through(scenario, d), chosen) for d in HARD}, trials=500, batch_size=250
+        {d: (through(scenario, d), chosen) for d in KINDS}, trials=500, batch_size=250
     )
     assert all(f.safe for f in flights.values()), flights
 
@@ -244,7 +275,7 @@ def test_a_violation_is_counted(flown: tuple[Scenario, Plan]) -> None:
     allowed = draw_trials(scenario, range(2))
     excess = dataclasses.replace(allowed[0], parameters={"drag": 20.0})
     trials = [*allowed, excess]
-    flights = reduced(SimulateTrials(scenario, plan=chosen, trials=trials), trials)
+    flights = reduce(SimulateTrials(scenario, plan=chosen, trials=trials), trials)
     assert flights.violations["layer"] == flights.violations["position"] == 1
     assert not flights.safe
     assert flights.summary()["worst_position_trial"] == excess.index
@@ -258,17 +289,6 @@ def test_a_collision_is_counted(flown: tuple[Scenario, Plan]) -> None:
     assert not any(flights.violations.values())
     assert flights.collisions == 3
     assert not flights.safe
-
-
-def reduced(log: Log, trials: list[Trial]) -> Flights:
-    return Flights.reduce(
-        trials,
-        time=log.time,
-        position=log.position,
-        control=log.control,
-        tube_ratios=log.tube_ratios,
-        clearance=log.clearance,
-    )
 
 
 def test_what_is_kept_of_a_flight_is_what_the_log_says(

@@ -111,6 +111,10 @@ def make_baselines(scenario: Scenario) -> list[Baseline]:
 
     Args:
         scenario: whose bandwidth, uncertainty and velocity bound are replaced.
+
+    Raises:
+        ScenarioError: if the scenario makes no sense, or its model does not know
+            a constant bound of its error.
     """
     bandwidth = scenario.controller.bandwidth
     fixed = bandwidth.max if bandwidth.fixed is None else bandwidth.fixed
@@ -131,6 +135,7 @@ def make_baselines(scenario: Scenario) -> list[Baseline]:
                 velocity_bound="paper" if name == "both_paper" else "comparison",
             ),
         )
+        own.validate()
         problem = Problem.from_scenario(own)
         if name == "nominal":
             problem = without_tube(problem)

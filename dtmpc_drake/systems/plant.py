@@ -119,10 +119,10 @@ def _plant_of(T: Any) -> Any:
             x = context.get_continuous_state_vector().CopyToVector()
             x = x.reshape(self._shape)
             B = self._model.input_matrix(x)
-            u = self._control.Eval(context).reshape(*self._lead, 1, -1)
+            u = self._control.Eval(context).reshape(*self._lead, -1)
             highest = (
                 self._model.true_drift(x, self._parameters(context))
-                + (B * u).sum(axis=-1)
+                + np.einsum("...ij,...j->...i", B, u)
                 + self._disturbance.Eval(context).reshape(*self._lead, -1)
             )
             rates = np.concatenate([x[..., 1:, :], highest[..., None, :]], axis=-2)

@@ -122,7 +122,7 @@ class Cloud:
         colors = cloud_colors(position)
         return [
             # So faint that many flights still show where most of them are.
-            cls(name, colors[name], 0.15, float(np.clip(50 / len(p), 0.1, 0.5)), p)
+            cls(name, colors[name], 0.15, float(np.clip(50 / len(p), 0.03, 0.5)), p)
             for name, p in position.items()
         ]
 
@@ -442,7 +442,9 @@ def _plot_over_time(
             when = np.linspace(plan.start_time, plan.end_time, paths.shape[1])
         seen = np.stack([np.broadcast_to(when, paths.shape), paths], axis=-1)
         cloud.draw(axes, seen, 5.0)
-    _colored_line(axes, np.stack([now, center], axis=1), coloring, 3.0)
+    many = any(len(cloud.paths) > 1 for cloud in clouds)
+    line = np.stack([now, center], axis=1)
+    _colored_line(axes, line, coloring, 0.8 if many else 3.0)
     axes.margins(x=0.02)
     bottom, top = axes.get_ylim()
     for low, high in obstacle_intervals(scenario.obstacle_set()):
@@ -495,7 +497,8 @@ def _legend(
     figure.legend(
         handles=handles,
         loc="outside upper center",
-        ncols=len(handles),
+        # As many in a row as the figure is wide.
+        ncols=min(len(handles), int(0.7 * figure.get_figwidth())),
         frameon=False,
         columnspacing=1.4 if len(handles) > 5 else 2.0,
         handlelength=1.4 if len(handles) > 5 else 2.0,
