@@ -352,6 +352,21 @@ class Scenario:
         always = bool(self.known_at_start().all())
         return self.planner.replan_period is not None or not always
 
+    def require_one_plan(self) -> None:
+        """Refuses what only makes sense with several plans.
+
+        Raises:
+            ScenarioError: if `is_receding`.
+        """
+        why = "left out: many trials fly one plan, which knows every obstacle"
+        again = self.planner.replan_period
+        _require("planner.replan_period", again, again is None, why)
+        for i in np.flatnonzero(~self.known_at_start())[:1]:
+            since = self.obstacles[i].known_from
+            if since is None:
+                raise ScenarioError("sensing.range", self.sensing.range, why)
+            raise ScenarioError(f"obstacles[{i}].known_from", since, why)
+
     def planning_delay(self) -> float:
         """From a measurement until its plan takes effect, which is at a look, in s."""
         looks = math.ceil(self.planner.compute_delay / self.sensing.period - 1e-9)
