@@ -78,7 +78,8 @@ def MakeClosedLoop(
         `replans`, too.  See the systems for their meaning.
 
     Raises:
-        ValueError: if trials come without a plan or with a Meshcat.
+        ValueError: if trials come without a plan or with a Meshcat, or with a
+            scenario that asks for plans on the way.
     """
     model = scenario.model
     parameters: dict[str, Any] = dict(scenario.plant_parameters())
@@ -86,6 +87,7 @@ def MakeClosedLoop(
     if trials is not None:
         if plan is None or meshcat is not None:
             raise ValueError("trials: they fly a given plan, and are not shown")
+        scenario.require_one_plan()
         count = len(trials)
         for name in parameters:
             parameters[name] = [trial.parameters[name] for trial in trials]

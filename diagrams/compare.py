@@ -152,6 +152,7 @@ def run(
         OSError: if the directory cannot be written.
     """
     scenario.validate()
+    scenario.require_one_plan()
     batches(trials, batch_size)
     out = Path("out", f"{scenario.name}_compare") if out is None else Path(out)
     out.mkdir(parents=True, exist_ok=True)

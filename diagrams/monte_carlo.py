@@ -199,6 +199,7 @@ def run(
         OSError: if the directory cannot be written.
     """
     scenario.validate()
+    scenario.require_one_plan()
     batches(trials, batch_size)
     chosen = choose_disturbances(scenario, disturbance)
     out = Path("out", f"{scenario.name}_monte_carlo") if out is None else Path(out)
