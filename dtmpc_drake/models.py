@@ -241,10 +241,8 @@ class SampledBoxBounds(Model):
         return np.asarray(self.model_error_bound(self._corners(x, radius)).max(axis=0))
 
     def model_error_bound_under(self, x: Array, radius: Array) -> Array:
-        """See base class; also looks where the box is nearest to the origin."""
-        nearest = np.clip(0.0, x - radius, x + radius)[None]
-        points = np.concatenate([self._corners(x, radius), nearest])
-        return np.asarray(self.model_error_bound(points).min(axis=0))
+        """See base class."""
+        return np.asarray(self.model_error_bound(self._corners(x, radius)).min(axis=0))
 
     @property
     def bounds_certified(self) -> bool:
