@@ -235,9 +235,11 @@ def _sequential_convex(
     """Coarse grids first: a step there costs half, and refining is exact.
 
     If that ends infeasible, the bandwidth is held at its maximum until the
-    reference is feasible, and released from there.
+    reference is feasible, and released from there; not from a warm start, whose
+    way that would forget.
     """
-    free = not problem.bandwidth_is_fixed and problem.start_bandwidth is None
+    free = warm_start is None and problem.start_bandwidth is None
+    free = free and not problem.bandwidth_is_fixed
     grids = [settings.intervals]
     while warm_start is None and grids[0] % 2 == 0 and grids[0] >= 2 * COARSEST:
         grids.insert(0, grids[0] // 2)
