@@ -26,7 +26,7 @@ from pydrake.systems.primitives import LogVectorOutput
 
 from diagrams.live_view import LiveView
 from dtmpc_drake.models import Array
-from dtmpc_drake.monte_carlo import Trial, require_one_plan
+from dtmpc_drake.monte_carlo import Trial
 from dtmpc_drake.plan import Plan
 from dtmpc_drake.replan import Replan, flown_plan
 from dtmpc_drake.scenario import Scenario
@@ -78,8 +78,8 @@ def MakeClosedLoop(
         `replans`, too.  See the systems for their meaning.
 
     Raises:
-        ValueError: if trials come without a plan or with a Meshcat, or if the
-            scenario may plan on the way.
+        ValueError: if trials come without a plan or with a Meshcat, or with a
+            scenario that asks for plans on the way.
     """
     model = scenario.model
     parameters: dict[str, Any] = dict(scenario.plant_parameters())
@@ -87,7 +87,7 @@ def MakeClosedLoop(
     if trials is not None:
         if plan is None or meshcat is not None:
             raise ValueError("trials: they fly a given plan, and are not shown")
-        require_one_plan(scenario)
+        scenario.require_one_plan()
         count = len(trials)
         for name in parameters:
             parameters[name] = [trial.parameters[name] for trial in trials]

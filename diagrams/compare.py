@@ -13,13 +13,7 @@ import numpy as np
 from diagrams.experiment import write_json
 from diagrams.monte_carlo import BATCH_SIZE, Batch, fly_all
 from diagrams.table import text_table
-from dtmpc_drake.monte_carlo import (
-    KINDS,
-    Flights,
-    batches,
-    choose_disturbances,
-    require_one_plan,
-)
+from dtmpc_drake.monte_carlo import KINDS, Flights, batches, choose_disturbances
 from dtmpc_drake.planning.baselines import (
     Outcome,
     bandwidth_cost,
@@ -158,7 +152,7 @@ def run(
         OSError: if the directory cannot be written.
     """
     scenario.validate()
-    require_one_plan(scenario)
+    scenario.require_one_plan()
     batches(trials, batch_size)
     out = Path("out", f"{scenario.name}_compare") if out is None else Path(out)
     out.mkdir(parents=True, exist_ok=True)

@@ -16,7 +16,6 @@ from dtmpc_drake.monte_carlo import (
     batches,
     choose_disturbances,
     draw_trials,
-    require_one_plan,
     save_flights,
     spread,
 )
@@ -200,7 +199,7 @@ def run(
         OSError: if the directory cannot be written.
     """
     scenario.validate()
-    require_one_plan(scenario)
+    scenario.require_one_plan()
     batches(trials, batch_size)
     chosen = choose_disturbances(scenario, disturbance)
     out = Path("out", f"{scenario.name}_monte_carlo") if out is None else Path(out)

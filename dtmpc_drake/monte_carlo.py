@@ -124,22 +124,6 @@ def choose_disturbances(scenario: Scenario, choice: str) -> dict[str, Disturbanc
     return {n: own if type(own) is type(d) else d for n, d in made.items()}
 
 
-def require_one_plan(scenario: Scenario) -> None:
-    """Makes sure that a scenario is flown with one plan, which trials can share.
-
-    Raises:
-        ScenarioError: if there may be plans on the way: they would depend on what
-            pushed the vehicle before.
-    """
-    period = scenario.planner.replan_period
-    if period is not None:
-        allowed = "left out where many trials share one plan"
-        raise ScenarioError("planner.replan_period", period, allowed)
-    for i in np.flatnonzero(~scenario.known_at_start())[:1]:
-        allowed = "known from the start where many trials share one plan"
-        raise ScenarioError(f"obstacles[{i}]", "unknown", allowed)
-
-
 # Spreading.
 
 

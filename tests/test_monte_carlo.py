@@ -499,29 +499,6 @@ def test_bad_options_get_one_line(
     assert result.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize("command", ["monte-carlo", "compare"])
-@pytest.mark.parametrize(
-    ("period", "complaint"),
-    [
-        (1.0, "planner.replan_period: got 1, but it must be left out"),
-        (None, "obstacles[2]: got 'unknown', but it must be known from the start"),
-    ],
-)
-def test_plans_on_the_way_cannot_be_shared(
-    tmp_path: Path, command: str, period: float | None, complaint: str
-) -> None:
-    scenario = load_scenario("receding_horizon")
-    scenario.planner.replan_period = period
-    file, out = tmp_path / "receding.yaml", tmp_path / "out"
-    file.write_text(scenario.to_yaml(), encoding="utf-8")
-    arguments = [command, str(file), "--trials", "2", "--out", str(out)]
-    result = CliRunner().invoke(app, arguments)
-    assert result.exit_code == 2
-    assert result.stderr.startswith(complaint)
-    assert result.stderr.count("\n") == 1
-    assert not out.exists()
-
-
 # Pictures.
 
 

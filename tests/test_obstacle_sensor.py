@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
+from diagrams import compare, monte_carlo
 from dtmpc_drake.models import IntegratorChain
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Sphere
 from dtmpc_drake.scenario import (
@@ -254,3 +256,23 @@ def test_sensing_and_replanning_survive_their_file() -> None:
     )
     ball = parse_scenario(TEXT % (", known_from: 3", "", "")).obstacles[0]
     assert ball == Sphere([0.0, 10.0, 0.0], 1.0, known_from=3.0)
+
+
+@pytest.mark.parametrize("run", [monte_carlo.run, compare.run])
+@pytest.mark.parametrize(
+    ("name", "period", "field"),
+    [
+        ("receding_horizon", 1.0, "planner.replan_period"),
+        ("receding_horizon", None, "obstacles[2].known_from"),
+        ("sensed_environment", None, "sensing.range"),
+    ],
+)
+def test_many_trials_want_one_plan(
+    run: Any, name: str, period: float | None, field: str, tmp_path: Path
+) -> None:
+    scenario = load_scenario(name)
+    scenario.planner.replan_period = period
+    with pytest.raises(ScenarioError, match="many trials fly one plan") as caught:
+        run(scenario, tmp_path / "out", trials=2)
+    assert caught.value.field == field
+    assert not (tmp_path / "out").exists()

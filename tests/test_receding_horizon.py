@@ -146,6 +146,22 @@ def test_unknown_drag_is_no_obstacle_to_planning_again() -> None:
     assert len(log.replans) >= 5
 
 
+def test_other_sides_are_looked_for_when_there_is_news() -> None:
+    scenario = load_scenario("receding_horizon")
+    scenario.planner.initial_guess = "best_side"
+    scenario.planner.replan_period = 2.0
+    log = Simulate(scenario)
+    assert_safe(scenario, log)
+    assert {r.status for r in log.replans} == {"certified"}
+    searched, straight = (
+        {r.revealed: r.cost for r in some.replans if r.cause != "period"}
+        for some in (log, flight("receding_horizon", "uniform"))
+    )
+    # With all that is known, it is the cheaper way from the first plan on.
+    assert searched[()] < straight[()]
+    assert searched[(4,)] < straight[(4,)]
+
+
 def test_plans_are_made_on_the_period_and_take_effect_after_the_delay() -> None:
     log = flight("receding_horizon", "uniform")
     planner = load_scenario("receding_horizon").planner

@@ -205,6 +205,7 @@ def replan(
     measured_at: float,
     state: Array,
     start: float,
+    news: bool = True,
 ) -> Decision:
     """Decides what is flown from a time on.
 
@@ -224,6 +225,9 @@ def replan(
         measured_at: in s.
         state: x that was measured, ``(n, m)``.
         start: when the outcome takes effect, in s.
+        news: whether the old plan does not know all of `known`.  Where not, the
+            sides on which it passes are settled, and `initial_guess: best_side`
+            looks for no others.
     """
     whole = Problem.from_scenario(scenario, known)
     problem = problem_on_the_way(
@@ -233,7 +237,8 @@ def replan(
     left, n = problem.duration, problem.model.order
     enough = left >= shortest_duration(scenario) - 1e-9
     arrives = np.abs(plan.reference(plan.end_time)[:n] - problem.goal).max() < 1e-3
-    if enough and tries.certified(problem, left, plan if arrives else None):
+    search = news or not arrives
+    if enough and tries.certified(problem, left, plan if arrives else None, search):
         return tries.decision("certified")
     why = tries.message or "too little time is left for a new plan"
     distance = np.inf
@@ -270,7 +275,11 @@ class _Tries:
         self._results: list[PlanningResult] = []
 
     def certified(
-        self, problem: Problem, duration: float, guess: Plan | Slowed | None
+        self,
+        problem: Problem,
+        duration: float,
+        guess: Plan | Slowed | None,
+        search: bool = True,
     ) -> bool:
         """Whether a problem of this duration has a certified plan from this guess."""
         planner = self._scenario.planner
@@ -280,6 +289,7 @@ class _Tries:
             planner,
             intervals=max(round(duration / interval), least),
             max_iterations=min(ITERATIONS, planner.max_iterations),
+            initial_guess=planner.initial_guess if search else "straight_line",
         )
         problem = dataclasses.replace(problem, duration=duration)
         self._results.append(plan_problem(problem, settings, warm_start=guess))

@@ -281,6 +281,7 @@ class DtmpcPlanner(LeafSystem):
             measured_at=time,
             state=self._state.Eval(context).reshape(self._shape),
             start=hand_over,
+            news=cause != "period",
         )
         return Replan(
             time=time,
