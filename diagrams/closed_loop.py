@@ -217,7 +217,7 @@ class Log:
         The speed is the largest along any axis, as in the scenario's limit; it
         is taken from differences of the position where it is no state (n = 1).
         """
-        if self.state.shape[1] > 1:
+        if self.state.shape[-2] > 1:
             speed = self.state[..., 1, :]
         else:
             speed = np.diff(self.position, axis=0).T / np.diff(self.time)

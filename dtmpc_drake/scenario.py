@@ -101,6 +101,8 @@ class BangBang:
 class WorstCase:
     """A disturbance that pushes along the sliding variable, away from the plan.
 
+    Where there is no error yet, the seed decides to which side of every output.
+
     Attributes:
         bound: D on every output, in m/s².
     """

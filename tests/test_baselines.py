@@ -108,11 +108,11 @@ def test_a_nominal_plan_collides_and_dtmpc_does_not() -> None:
         outcome = solve(baselines[name])
         assert outcome.plan is not None
         own = outcome.baseline.scenario
-        flights[name] = fly(Batch(name, own, outcome.plan, range(3)))
+        flights[name] = fly(Batch(name, own, outcome.plan, range(20)))
         tubes[name] = outcome.plan.position_tube(outcome.plan.sample_times())
         # The nominal tracker is fair: it keeps the plant in its tube.
         assert not any(flights[name].violations.values())
-    assert flights["nominal"].collisions == 3
+    assert flights["nominal"].collisions > 15  # whatever side it is pushed to
     assert flights["both"].collisions == 0
     assert tubes["nominal"].mean() < 0.5 * tubes["both"].mean()
 

@@ -26,7 +26,7 @@ from typer.testing import CliRunner
 from diagrams.__main__ import app
 from diagrams.closed_loop import Log, MakeClosedLoop, Simulate, SimulateTrials
 from diagrams.monte_carlo import OUTPUTS, Batch, fly, fly_all, reduce
-from dtmpc_drake.models import DragDoubleIntegrator
+from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
 from dtmpc_drake.monte_carlo import (
     KINDS,
     Flights,
@@ -196,16 +196,18 @@ def test_a_trial_flies_in_any_batch_as_it_flies_alone(
         assert np.ptp(batch.disturbance, axis=1).max() > 0.2
 
 
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("count", [1, 4])
 def test_the_log_of_many_trials_has_the_extremes_of_each(
-    flown: tuple[Scenario, Plan],
+    order: int, count: int
 ) -> None:
-    scenario, chosen = flown
-    trials = draw_trials(scenario, range(4))
-    log = SimulateTrials(scenario, plan=chosen, trials=trials)
-    each = [log.trial(i).extremes() for i in range(4)]
+    scenario = short(IntegratorChain(2, order, 0.1))
+    trials = draw_trials(scenario, range(count))
+    log = SimulateTrials(scenario, plan=hold_plan(scenario), trials=trials)
+    each = [log.trial(i).extremes() for i in range(count)]
     for name, value in log.extremes().items():
         pick = min if name == "smallest_clearance" else max
-        assert value == pick(seen[name] for seen in each)
+        assert value == pick(seen[name] for seen in each), name
 
 
 def test_trials_do_not_see_each_other() -> None:
@@ -410,6 +412,19 @@ def test_a_worker_killed_in_the_middle_loses_nothing(
 def test_a_bad_address_is_named(address: str) -> None:
     with pytest.raises(ScenarioError, match="a Dask scheduler that answers"):
         spread(abs, [1, 2], scheduler=address)
+
+
+def test_a_scheduler_without_workers_is_not_waited_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from distributed import LocalCluster
+
+    monkeypatch.setattr("dtmpc_drake.monte_carlo.PATIENCE", 0.5)
+    with (
+        LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as empty,
+        pytest.raises(ScenarioError, match="a scheduler with workers: none came"),
+    ):
+        spread(abs, [1, 2], scheduler=empty.scheduler_address)
 
 
 # The command line.

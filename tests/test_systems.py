@@ -303,8 +303,13 @@ def test_the_worst_case_pushes_along_the_sliding_variable() -> None:
     np.testing.assert_array_equal(push, [-0.5, -0.2, 0.0])
     # It does not wait for an error.
     context = fixed(source, state=reference[:6], reference=reference)
-    push = source.GetOutputPort("disturbance").Eval(context)
-    np.testing.assert_array_equal(push, D)
+    sides = set()
+    for seed in range(40):
+        source.SetRandomContext(context, RandomGenerator(seed))
+        push = source.GetOutputPort("disturbance").Eval(context)
+        np.testing.assert_array_equal(np.abs(push), D)
+        sides.add(tuple(np.sign(push[:2])))
+    assert len(sides) == 4  # the seed decides to which side
 
 
 def test_small_parts_have_their_ports() -> None:

@@ -38,6 +38,8 @@ from dtmpc_drake.systems.trial_noise import TrialNoise
 
 _SAMPLES_PER_CORRELATION_TIME = 10
 _SHORTEST_SAMPLE = 0.005  # of the wind's white noise, in s
+_ONCE = 1e6  # longer than any flight, in s
+_NUDGE = 1e-6  # far above what rounding makes of s, far below what a push does
 
 
 def MakeDisturbance(
@@ -89,9 +91,7 @@ def MakeDisturbance(
         uniform = noise(RandomDistribution.kUniform, config.hold)
         stretched = _chain(builder, uniform, Gain(k=2 * bound))
         offset = builder.AddSystem(ConstantVectorSource(-bound))
-        pushes = builder.AddSystem(Adder(num_inputs=2, size=len(bound)))
-        for i, part in enumerate((stretched, offset)):
-            builder.Connect(part.get_output_port(), pushes.get_input_port(i))
+        pushes = _sum(builder, stretched, offset)
     elif isinstance(config, BangBang):
         gaussian = noise(RandomDistribution.kGaussian, config.hold)
         pushes = _chain(builder, gaussian, Relay(force=bound))
@@ -111,12 +111,17 @@ def MakeDisturbance(
         )
     else:
         # The worst case.  At s = 0 it pushes too: one that waited for an error
-        # would never see any.
+        # would never see any.  The seed decides to which side, not rounding.
         error = SlidingError(slope=slope, order=order, trials=trials)
         builder.AddSystem(error)
         for name in ("state", "reference"):
             builder.ExportInput(error.GetInputPort(name), name)
-        pushes = _chain(builder, error, Relay(force=bound))
+        side = noise(RandomDistribution.kGaussian, _ONCE)
+        pushes = _chain(
+            builder,
+            _sum(builder, error, _chain(builder, side, Gain(_NUDGE, len(bound)))),
+            Relay(force=bound),
+        )
     builder.ExportOutput(pushes.get_output_port(), "disturbance")
     diagram = builder.Build()
     diagram.set_name("disturbance")
@@ -134,6 +139,14 @@ def SeedTrials(disturbance: Diagram, context: Context, seeds: Sequence[int]) -> 
     if disturbance.HasSubsystemNamed("noise"):
         noise = disturbance.GetSubsystemByName("noise")
         noise.SetSeeds(noise.GetMyMutableContextFromRoot(context), seeds)
+
+
+def _sum(builder: DiagramBuilder, first: System, second: System) -> System:
+    """Adds a system that adds the outputs of two others."""
+    total = builder.AddSystem(Adder(num_inputs=2, size=first.get_output_port().size()))
+    for i, part in enumerate((first, second)):
+        builder.Connect(part.get_output_port(), total.get_input_port(i))
+    return total
 
 
 def _chain(builder: DiagramBuilder, first: System, *others: System) -> System:
