@@ -3,8 +3,9 @@
 Reference and boundary layer are polynomials, so Taylor's formula about the
 middle of an interval gives their range exactly enough.  The tube follows from
 them by comparison: on every interval the filters are replaced by ones with
-constant coefficients that are at least as bad.  Nothing is sampled; only the
-rounding of floating-point numbers is left out of account.
+coefficients that are at least as bad.  Nothing is sampled; left out of account are
+the rounding of floating-point numbers and the error of a fourth-order quadrature of
+linear filters, which the length of the intervals makes negligible.
 """
 
 from __future__ import annotations
