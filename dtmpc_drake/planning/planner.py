@@ -296,10 +296,13 @@ def _verdict(
     name, margin = certificate.worst
     if certificate.certified:
         return "certified", f"smallest margin: {name} {margin}"
-    if result.failure is not None:
-        return "failed", f"the solver stopped with {result.failure}"
+    limits = ""
     if result.violation > BACKOFF and margin.value < 0:
         limits = _limits(transcription, result.iterate)
+    if result.failure is not None:
+        tail = f"; until then: {limits}" if limits else ""
+        return "failed", f"the solver stopped with {result.failure}{tail}"
+    if limits:
         return "infeasible", f"{limits}; no better plan from this start"
     if margin.value < 0:
         return "not_certified", f"{name} {margin}"

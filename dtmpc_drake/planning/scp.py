@@ -10,6 +10,7 @@ rate limit are convex in the decisions, so every iterate obeys them.
 from __future__ import annotations
 
 import dataclasses
+import logging
 import time
 from collections.abc import Callable
 
@@ -32,6 +33,11 @@ from dtmpc_drake.planning.transcription import (
     Transcription,
 )
 from dtmpc_drake.planning.variables import Variables
+
+# Drake tells the world how every program ended; here that is in the history.
+logging.getLogger("drake").addFilter(
+    lambda record: not record.getMessage().startswith("Clarabel returns")
+)
 
 PENALTY = 1e3
 """First weight of the slack; raised while a converged plan still needs slack."""
