@@ -60,7 +60,7 @@ SHORTEST = 0.02
 """Steps are not walked by less than this fraction."""
 RATE_REACH = 0.5
 """Bandwidth rates below this part of their limit are left to the projection."""
-SPEED_REACH, INPUT_REACH = 0.5, 1.0
+SPEED_REACH, INPUT_REACH = 0.7, 1.0
 """Knots with more margin than this are left out of a program, m/s and m/s²."""
 BETWEEN, BETWEEN_REACH = 4, 0.3
 """Parts of a piece at whose ends the input is limited too, and with which margin."""

@@ -32,7 +32,7 @@ INPUT_HAIR = 2e-3
 """By how much the input does: the tube's pieces round off the model's kinks."""
 SPEED_HAIR = 1e-3
 """By how much the speed does: W is proven with some slack, see `enclosure`."""
-REACH = 0.6
+REACH = 0.8
 """Pieces and obstacles that are further apart have no half-plane, in m."""
 BLEND = 0.125
 """Part of the way, at each end, in which a start is bent to meet the ends."""
