@@ -13,6 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from diagrams.experiment import run
+from dtmpc_drake.monte_carlo import spread
 from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.planning import PlanningResult, plan
 from dtmpc_drake.scenario import Planner, Scenario, Waypoint, load_scenario
@@ -65,17 +66,19 @@ class Comparison:
         return f"field {self.seed:2d}  " + "  ".join(parts)
 
 
+def compare_one(seed: int) -> Comparison:
+    """Plans one random field from both initial guesses."""
+    results = []
+    for guess in ("straight_line", "best_side"):
+        scenario = random_field(seed)
+        scenario.planner.initial_guess = guess
+        results.append(plan(scenario))
+    return Comparison(seed, *results)
+
+
 def compare(seeds: Iterable[int]) -> list[Comparison]:
-    """Plans random fields from both initial guesses."""
-    found = []
-    for seed in seeds:
-        results = []
-        for guess in ("straight_line", "best_side"):
-            scenario = random_field(seed)
-            scenario.planner.initial_guess = guess
-            results.append(plan(scenario))
-        found.append(Comparison(seed, *results))
-    return found
+    """Plans random fields from both initial guesses, one worker process a core."""
+    return spread(compare_one, list(seeds))
 
 
 def main() -> None:
