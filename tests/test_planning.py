@@ -13,8 +13,8 @@ from dtmpc_drake.planning import Problem, certify, plan, plan_problem
 from dtmpc_drake.planning.scp import Program, kinked_coordinates, tangent_space
 from dtmpc_drake.planning.sensitivity import transitions
 from dtmpc_drake.planning.transcription import Transcription, separating_normals
-from dtmpc_drake.scenario import Scenario, Waypoint, load_scenario
-from tests.models_for_tests import PlanarOnSlope, ThirdOrderPlanar
+from dtmpc_drake.scenario import Planner, Scenario, Waypoint, load_scenario
+from tests.models_for_tests import PlanarOnSlope, ThirdOrderPlanar, make_problem
 
 
 @pytest.fixture(scope="module")
@@ -283,6 +283,23 @@ def test_both_backends_agree(intervals):
     ipopt = plan(scenario)
     assert clarabel.certified and ipopt.certified
     assert clarabel.cost == pytest.approx(ipopt.cost, rel=0.02)
+
+
+def test_both_backends_agree_on_a_stop_anywhere():
+    """A row of the goal that is not a number is free: here, the position."""
+    start, goal = np.zeros((2, 3)), np.zeros((2, 3))
+    start[1, 0], goal[0] = 1.0, np.nan
+    problem = make_problem(DragDoubleIntegrator(), start=start, goal=goal, duration=3.0)
+    results = [
+        plan_problem(problem, Planner(intervals=8, backend=backend))
+        for backend in ("clarabel", "ipopt")
+    ]
+    for result in results:
+        assert result.certified, result
+        position, velocity = result.plan.reference(3.0)[:2]
+        np.testing.assert_allclose(velocity, 0.0, atol=1e-6)
+        assert 0.5 < position[0] < 3.0
+    assert results[0].cost == pytest.approx(results[1].cost, rel=0.02)
 
 
 def test_both_backends_agree_on_a_small_field():
