@@ -256,7 +256,7 @@ def _is_good(result: PlanningResult) -> bool:
     """Whether a plan is certified, or would be if the model's bounds were proven."""
     if result.plan is None or result.certificate is None:
         return False
-    return result.certificate.worst[1].value >= 0
+    return result.certificate.kept
 
 
 def _or_coarse(result: PlanningResult, coarse: _Coarse) -> PlanningResult:
@@ -269,11 +269,10 @@ def _or_coarse(result: PlanningResult, coarse: _Coarse) -> PlanningResult:
     certificate = certify(coarse.plan, result.problem)
     if not certificate.certified:
         return result
-    name, margin = certificate.worst
     return dataclasses.replace(
         result,
         status="certified",
-        message=f"smallest margin: {name} {margin}",
+        message=certificate.reason,
         plan=coarse.plan,
         attempt=coarse.plan,
         certificate=certificate,

@@ -293,20 +293,22 @@ def _doubled(values: Array) -> Array:
 def _verdict(
     transcription: Transcription, result: Result, certificate: Certificate
 ) -> tuple[Status, str]:
-    name, margin = certificate.worst
     if certificate.certified:
-        return "certified", f"smallest margin: {name} {margin}"
+        return "certified", certificate.reason
     limits = ""
-    if result.violation > BACKOFF and margin.value < 0:
-        limits = _limits(transcription, result.iterate)
+    if np.isfinite(result.violation):
+        if result.violation > BACKOFF and not certificate.kept:
+            limits = _limits(transcription, result.iterate)
+    elif not certificate.kept:
+        limits = certificate.reason
     if result.failure is not None:
         tail = f"; until then: {limits}" if limits else ""
         return "failed", f"the solver stopped with {result.failure}{tail}"
+    if not np.isfinite(result.violation):
+        return "failed", limits or "the last iterate is not finite"
     if limits:
         return "infeasible", f"{limits}; no better plan from this start"
-    if margin.value < 0:
-        return "not_certified", f"{name} {margin}"
-    return "not_certified", "the model's bounds over a box are sampled, not proven"
+    return "not_certified", certificate.reason
 
 
 def _limits(transcription: Transcription, iterate: Iterate) -> str:

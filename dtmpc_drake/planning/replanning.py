@@ -257,8 +257,9 @@ def replan(
         if tries.certified(stop, longest, guess):
             return tries.decision("braking", f"no way to the goal: {why}")
         certificate = tries.last.certificate
-        if certificate and certificate.margins["obstacles"].value > distance:
-            best, distance = tries.last, certificate.margins["obstacles"].value
+        clear = certificate.margins.get("obstacles") if certificate else None
+        if clear is not None and clear.value > distance:
+            best, distance = tries.last, clear.value
     if enough and arrives and tries.certified(problem, left, None):
         return tries.decision("certified")
     message = f"nothing is certified; obstacles {distance:+.4f} m"

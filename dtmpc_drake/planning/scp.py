@@ -671,7 +671,8 @@ def violation(iterate: Iterate) -> float:
     margins = [iterate.speed_margin.min(), iterate.input_margin.min()]
     for some in (iterate.error_margin, iterate.planes.margin):
         margins.append(some.min(initial=np.inf))
-    return float(max(0.0, BACKOFF - min(margins)))
+    # What is not a number violates everything.
+    return float(np.nan_to_num(np.maximum(0.0, BACKOFF - np.min(margins)), nan=np.inf))
 
 
 def _excess(violation: float) -> float:
@@ -782,6 +783,8 @@ def iterate_to_convergence(
     clock = time.perf_counter
     current = tr.evaluate(*decisions)
     worst = violation(current)
+    if not np.isfinite([worst, current.cost]).all():
+        return Result(current, False, np.inf)
     program = Program(
         tr,
         # Other pieces may come near on the way.
