@@ -62,6 +62,49 @@ def bandwidth(*, gain: Array, boundary_layer: Array) -> Array:
     return np.asarray(gain / boundary_layer)
 
 
+def gain_crossover(*, bandwidth: Array, slope: Array, order: int) -> Array:
+    """ω_c, the bandwidth of the whole loop: the largest ω at which |L(jω)| = 1.
+
+    Inside the layer the control law is linear in ỹ, but for F̂, which it cancels.  With
+    p the Laplace variable the loop, broken at the plant's input, is
+
+        L(p) = [(p + α)(p + λ)^(n-1) - p^n] / p^n.
+
+    So α is the bandwidth of the whole loop only for n = 1.  For n = 2,
+    ω_c² = [(α + λ)² + √((α + λ)⁴ + 4α²λ²)] / 2.  Whatever α and λ, ω_c is within a
+    few per cent of α + (n - 1) λ.
+
+    Args:
+        bandwidth: α, shape ``(..., m)``, in rad/s; where it varies, ω_c is that of
+            the loop with α as it is at the time.
+        slope: λ, shape ``(m,)``, in 1/s.
+        order: n.
+
+    Returns:
+        Shape ``(..., m)``, in rad/s.
+    """
+    scale = bandwidth + (order - 1) * slope  # the leading term of p^n L, so near ω_c
+    c = surface_coefficients(np.broadcast_to(slope, scale.shape) / scale, order)
+    # The numerator's coefficients of p^k, with time in units of 1 / scale.
+    numerator = c * (bandwidth / scale)[..., None, :]
+    numerator[..., 1:, :] += c[..., :-1, :]
+    # |numerator(jω)|² in powers of ω²: i^(k-l) is real where k + l is even.
+    power = np.zeros_like(numerator)
+    for k in range(order):
+        for j in range(k % 2, order, 2):
+            sign = (-1.0) ** ((k - j) // 2)
+            power[..., (k + j) // 2, :] += (
+                sign * numerator[..., k, :] * numerator[..., j, :]
+            )
+    # Companion matrices of ω^(2n) - |numerator|², whose roots are ω².
+    companion = np.zeros((*scale.shape, order, order))
+    companion[..., 1:, :-1] = np.eye(order - 1)
+    companion[..., :, -1] = np.moveaxis(power, -2, -1)
+    roots = np.linalg.eigvals(companion)
+    crossings = np.where(abs(roots.imag) <= 1e-6 * abs(roots), roots.real, 0.0)
+    return np.asarray(scale * np.sqrt(crossings.max(axis=-1)))
+
+
 def control(
     *,
     model: Model,

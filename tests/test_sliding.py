@@ -23,6 +23,7 @@ from dtmpc_drake.models import Array, IntegratorChain, Model
 from dtmpc_drake.sliding import (
     bandwidth,
     control,
+    gain_crossover,
     saturation,
     sliding_variable,
     surface_coefficients,
@@ -253,3 +254,68 @@ def test_the_coefficients_are_those_of_the_control_law() -> None:
     c = surface_coefficients(slope, n)[:, 0]
     law = [comb(n - 1, k - 1) * 1.5 ** (n - k) for k in range(1, n)]
     assert c[:-1] == pytest.approx(law)
+
+
+def loop_gain(frequency: Array, bandwidth: Array, slope: Array, order: int) -> Array:
+    """|L(jω)| of the loop broken at the plant's input, from its definition."""
+    p = 1j * frequency
+    loop = ((p + bandwidth) * (p + slope) ** (order - 1) - p**order) / p**order
+    return np.asarray(abs(loop))
+
+
+@given(order=st.integers(1, 10), seed=seeds)
+def test_beyond_the_crossover_the_loop_does_not_amplify(order: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    alpha, slope = 10 ** rng.uniform(-2, 2, (7, 3)), 10 ** rng.uniform(-2, 2, 3)
+    crossing = gain_crossover(bandwidth=alpha, slope=slope, order=order)
+    assert crossing.shape == (7, 3)
+    assert loop_gain(crossing, alpha, slope, order) == pytest.approx(1.0)
+    for factor in np.geomspace(1.001, 1e3, 50):
+        assert (loop_gain(factor * crossing, alpha, slope, order) < 1).all()
+    # A first guess that needs no formula.
+    assert crossing == pytest.approx(alpha + (order - 1) * slope, rel=0.035)
+
+
+@given(seed=seeds)
+def test_the_crossover_of_the_first_two_orders_has_a_closed_form(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a, b = 10 ** rng.uniform(-2, 2, (2, 5))
+    first = gain_crossover(bandwidth=a, slope=b, order=1)
+    assert first == pytest.approx(a)
+    second = gain_crossover(bandwidth=a, slope=b, order=2)
+    square = (a + b) ** 2
+    assert second**2 == pytest.approx(
+        (square + np.sqrt(square**2 + 4 * (a * b) ** 2)) / 2
+    )
+    # Both filters are in the loop alike: only their sum and product count.
+    swapped = gain_crossover(bandwidth=b, slope=a, order=2)
+    assert second == pytest.approx(swapped)
+
+
+@given(order=st.integers(1, 6), seed=seeds)
+def test_at_the_crossover_the_control_law_answers_as_much_as_it_is_given(
+    order: int, seed: int
+) -> None:
+    """A sine of ỹ^(n) with ω_c comes back from the law itself with its own size."""
+    rng = np.random.default_rng(seed)
+    model = IntegratorChain(num_outputs=2, order=order)
+    alpha, slope = rng.uniform(0.3, 5, 2), rng.uniform(0.3, 5, 2)
+    D, eta = np.full(2, 0.4), 0.1
+    frequency = gain_crossover(bandwidth=alpha, slope=slope, order=order)
+    powers = np.arange(order + 1)[:, None]
+    jet = 1e-3 * 1j**powers * frequency ** (powers - order)  # within the layer
+
+    def answer(error: Array) -> Array:
+        return control(
+            model=model,
+            state=error,
+            reference=np.zeros((order + 1, 2)),
+            boundary_layer=(D + eta) / alpha,
+            boundary_layer_rate=np.zeros(2),
+            slope=slope,
+            disturbance_bound=D,
+            reaching_rate=eta,
+        )
+
+    back = answer(jet[:-1].real) + 1j * answer(jet[:-1].imag)
+    assert abs(back) == pytest.approx(abs(jet[-1]), rel=1e-6)
