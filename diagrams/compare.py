@@ -9,14 +9,17 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from diagrams.experiment import write_json
 from diagrams.monte_carlo import BATCH_SIZE, Batch, fly_all
 from diagrams.table import text_table
 from dtmpc_drake.monte_carlo import KINDS, Flights, batches, choose_disturbances
 from dtmpc_drake.planning.baselines import (
+    RESOLUTION,
     Outcome,
     bandwidth_cost,
+    crossover,
     make_baselines,
     solve,
 )
@@ -29,6 +32,7 @@ _OF_A_PLAN = (
     "cost",
     "input_cost",
     "bandwidth_cost",
+    "crossover",
     "tube_mean",
     "tube_largest",
     "flights",
@@ -57,8 +61,11 @@ class Row:
     def numbers(self) -> dict[str, Any]:
         """What the table says; None where there is no number.
 
-        Lengths in m, times in s.  `input_cost` and `bandwidth_cost` are the two
-        parts of `cost`; `effort` is ∫‖u‖² dt of the median flight.
+        Lengths in m, times in s, bandwidths in rad/s.  `fixed_bandwidth` is what
+        the plan is flown with, the best of a sweep where there was one.
+        `input_cost` and `bandwidth_cost` are the two parts of `cost`; `crossover`
+        is that of the whole loop, its mean over time and axes; `effort` is ∫‖u‖² dt
+        of the median flight.  `plan_time_s` counts the whole sweep.
         """
         outcome, plan, flights = self.outcome, self.outcome.plan, self.flights
         numbers: dict[str, Any] = {
@@ -66,7 +73,8 @@ class Row:
             "feasible": plan is not None,
             "certified": outcome.certified,
             "message": outcome.message,
-            "plan_time_s": outcome.result.times["total"],
+            "fixed_bandwidth": outcome.baseline.fixed_bandwidth,
+            "plan_time_s": outcome.plan_time,
         }
         numbers |= dict.fromkeys(_OF_A_PLAN)
         if plan is not None:
@@ -76,6 +84,7 @@ class Row:
                 "cost": outcome.result.cost,
                 "input_cost": outcome.result.cost - part,
                 "bandwidth_cost": part,
+                "crossover": crossover(plan, outcome.baseline.scenario),
                 "tube_mean": tube.mean(),
                 "tube_largest": tube.max(),
             }
@@ -114,8 +123,12 @@ class Comparison:
         return row.outcome.certified and row.flights is not None and row.flights.safe
 
     def table(self) -> str:
-        """All numbers as text, and below them why a plan is not certified."""
-        return to_text(self.rows)
+        """All numbers as text, what they mean, and why a plan is not certified."""
+        return to_text(self.scenario, self.rows)
+
+    def figure(self) -> Figure:
+        """All plans from above; of a scenario with two outputs or more."""
+        return to_figure(self.scenario, self.rows)
 
     def __repr__(self) -> str:
         """The table."""
@@ -184,11 +197,10 @@ def run(
             outcome, Flights.concatenate(own_flights) if own_flights else None
         )
     if scenario.model.num_outputs > 1:
-        panels = list(to_panels(rows.values()))
-        plot_plans(scenario=scenario, panels=panels).savefig(out / OUTPUTS[0])
+        to_figure(scenario, rows).savefig(out / OUTPUTS[0])
     else:  # there is no field to look at
         files.remove(out / OUTPUTS[0])
-    files[-3].write_text(to_text(rows) + "\n", encoding="utf-8")
+    files[-3].write_text(to_text(scenario, rows) + "\n", encoding="utf-8")
     numbers = [row.numbers() for row in rows.values()]
     with open(files[-2], "w", encoding="utf-8", newline="") as table:
         writer = csv.DictWriter(table, fieldnames=list(numbers[0]))
@@ -200,27 +212,72 @@ def run(
             "scenario": scenario.name,
             "seed": scenario.simulation.seed,
             "disturbances": list(DISTURBANCES),
-            "baselines": numbers,
+            "currency": currency(scenario),
+            "baselines": [
+                row.numbers()
+                | {"sweep": [dataclasses.asdict(p) for p in row.outcome.sweep]}
+                for row in rows.values()
+            ],
         },
     )
     return Comparison(scenario, rows, tuple(files))
+
+
+def currency(scenario: Scenario) -> dict[str, Any]:
+    """In what costs are counted, and what they leave out, in SI units and rad/s."""
+    bandwidth = scenario.controller.bandwidth
+    return {
+        "input_weight": scenario.cost.input,
+        "bandwidth_weight": scenario.cost.bandwidth,
+        "bandwidth_min": bandwidth.min,
+        "bandwidth_max": bandwidth.max,
+        "slope": list(scenario.controller.slope),
+    }
+
+
+def currency_text(scenario: Scenario) -> tuple[str, str]:
+    """The same as two lines: what the cost charges, and what it does not."""
+    c = currency(scenario)
+    low, high = c["bandwidth_min"], c["bandwidth_max"]
+    slopes = [f"{value:g}" for value in c["slope"]]
+    slope = slopes[0] if len(set(slopes)) == 1 else f"({', '.join(slopes)})"
+    return (
+        f"cost: ∫ {c['input_weight']:g}‖u*‖² + {c['bandwidth_weight']:g}"
+        f"‖α − {low:g}‖² dt, with α from {low:g} to {high:g} rad/s;",
+        f"it does not charge λ = {slope} 1/s: compare other λ by ω_c, "
+        "the gain crossover of the loop of α and λ",
+    )
+
+
+def to_figure(scenario: Scenario, rows: dict[str, Row]) -> Figure:
+    """The plans, or last attempts at one, and in what their cost is counted."""
+    panels = list(to_panels(rows.values()))
+    return plot_plans(
+        scenario=scenario, panels=panels, note="\n".join(currency_text(scenario))
+    )
 
 
 def to_panels(rows: Iterable[Row]) -> Iterator[Panel]:
     """The baselines in the figure: plans, or last attempts at one."""
     for row in rows:
         outcome = row.outcome
-        title, result = outcome.baseline.title, outcome.result
+        baseline, result = outcome.baseline, outcome.result
+        alpha = baseline.fixed_bandwidth
+        title = baseline.title + (f", α = {alpha:.4g} rad/s" if alpha else "")
         if outcome.plan is not None and row.flights is not None:
             certified = "certified" if outcome.certified else "not certified"
-            title += f": {certified}, cost {result.cost:.1f},"
+            loop = crossover(outcome.plan, baseline.scenario)
+            title += f": {certified}, cost {result.cost:.1f}, ω_c {loop:.1f} rad/s,"
             title += f" {row.flights.collisions} of {len(row.flights)} flights collide"
             yield Panel(title, outcome.plan)
         elif result.attempt is not None:
-            yield Panel(f"{title}: {result.status}, the last attempt", result.attempt)
+            why = f"{result.status}, the last attempt"
+            if outcome.sweep:
+                why = f"nearest of {len(outcome.sweep)} attempts, {result.status}"
+            yield Panel(f"{title}: {why}", result.attempt)
 
 
-def to_text(rows: dict[str, Row]) -> str:
+def to_text(scenario: Scenario, rows: dict[str, Row]) -> str:
     """The table as text."""
 
     def cell(value: Any, form: str) -> str:
@@ -233,6 +290,8 @@ def to_text(rows: dict[str, Row]) -> str:
         "certified": ("certified", ""),
         "cost": ("cost", ".2f"),
         "input_cost": ("of it input", ".2f"),
+        "fixed_bandwidth": ("fixed α", ".4g"),
+        "crossover": ("ω_c", ".2f"),
         "tube_mean": ("tube mean", ".3f"),
         "tube_largest": ("largest", ".3f"),
         "effort": ("effort", ".2f"),
@@ -256,7 +315,13 @@ def to_text(rows: dict[str, Row]) -> str:
         if not row.outcome.certified
     ]
     table = text_table(["", *(title for title, _ in columns.values())], lines)
+    bandwidth = scenario.controller.bandwidth
+    step = RESOLUTION * (bandwidth.max - bandwidth.min)
     legend = [
+        *currency_text(scenario),
+        "ω_c: mean over time and axes, rad/s; fixed α: the best of a sweep whose last "
+        f"steps are {step:.3g} rad/s,",
+        "of the nominal plan the highest, with which it is flown;",
         "tube: Ω over time and axes, m; effort: ∫‖u‖² dt of the median flight;",
         f"flights through {', '.join(DISTURBANCES)}; clearance: smallest, m",
     ]

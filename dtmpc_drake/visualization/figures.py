@@ -324,7 +324,9 @@ class Panel:
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
 
-def plot_plans(*, scenario: Scenario, panels: Sequence[Panel]) -> Figure:
+def plot_plans(
+    *, scenario: Scenario, panels: Sequence[Panel], note: str = ""
+) -> Figure:
     """Several plans of one scenario from above, one below the other.
 
     All are coloured by bandwidth on the same scale.
@@ -332,6 +334,7 @@ def plot_plans(*, scenario: Scenario, panels: Sequence[Panel]) -> Figure:
     Args:
         scenario: gives the obstacles.
         panels: at least one; their plans have at least two outputs.
+        note: below all of them.
 
     Returns:
         A figure, to be saved with ``savefig``.
@@ -339,27 +342,26 @@ def plot_plans(*, scenario: Scenario, panels: Sequence[Panel]) -> Figure:
     views = []
     for panel in panels:
         samples = panel.plan.sample(_PERIOD)
-        coloring = Coloring.along(panel.plan, samples["time"], "bandwidth")
+        coloring = Coloring.along(
+            panel.plan, samples["time"], "bandwidth", among=[p.plan for p in panels]
+        )
         views.append(View.from_above(scenario, samples, coloring))
-    coloring = dataclasses.replace(
-        views[0].coloring,
-        low=min(view.coloring.low for view in views),
-        high=max(view.coloring.high for view in views),
-    )
     corners = np.array([view.window() for view in views])
     bottom, top = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
     width, height = top - bottom
     rise = float(np.clip(0.835 * _WIDTH * height / width, 1.0, 4.0))
-    figure = Figure(figsize=(_WIDTH, 0.9 + (rise + 0.4) * len(panels)), dpi=150)
-    figure.set_layout_engine("constrained")
+    below = 0.18 * len(note.splitlines())
+    size = (_WIDTH, 0.9 + (rise + 0.4) * len(panels) + below)
+    figure = Figure(figsize=size, dpi=150)
+    figure.set_layout_engine("compressed")  # for axes of equal scales
     grid = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
     for axes, panel, view in zip(grid, panels, views, strict=True):
-        own = dataclasses.replace(view.coloring, low=coloring.low, high=coloring.high)
-        dataclasses.replace(view, coloring=own).draw(axes, bottom, top, 2.6)
+        view.draw(axes, bottom, top, 2.6)
         axes.set_title(panel.title, fontsize=10, loc="left")
         if axes is not grid[-1]:
             axes.set_xlabel("")
             axes.tick_params(labelbottom=False)
+    figure.supxlabel(note, fontsize=9, x=0.05, ha="left")
     color_bar(figure, list(grid), coloring)
     _legend(figure, scenario, coloring, [])
     return figure
