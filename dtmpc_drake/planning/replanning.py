@@ -10,6 +10,7 @@ import numpy as np
 from dtmpc_drake.models import Array
 from dtmpc_drake.plan import FloatArray, Plan
 from dtmpc_drake.planning.certificate import clearance_ahead
+from dtmpc_drake.planning.deadline import Deadline
 from dtmpc_drake.planning.planner import PlanningResult, plan_problem
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.replan import Outcome
@@ -273,6 +274,7 @@ class _Tries:
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
+        self._deadline = Deadline.after(scenario.planner.time_limit)
         self._results: list[PlanningResult] = []
 
     def certified(
@@ -293,7 +295,9 @@ class _Tries:
             initial_guess=planner.initial_guess if search else "straight_line",
         )
         problem = dataclasses.replace(problem, duration=duration)
-        self._results.append(plan_problem(problem, settings, warm_start=guess))
+        self._results.append(
+            plan_problem(problem, settings, warm_start=guess, deadline=self._deadline)
+        )
         return self.last.certified
 
     @property
