@@ -69,9 +69,9 @@ class Plan:
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
-        """Makes what is shared read-only."""
+        """Makes what is shared read-only, and the same bits in and out of a file."""
         for field in dataclasses.fields(self):
-            view = np.asarray(getattr(self, field.name)).view()
+            view = np.ascontiguousarray(getattr(self, field.name)).view()
             view.flags.writeable = False
             object.__setattr__(self, field.name, view)
 

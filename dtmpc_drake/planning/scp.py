@@ -24,6 +24,7 @@ from pydrake.solvers import (
 )
 
 from dtmpc_drake.models import Array, bends, jacobian
+from dtmpc_drake.planning.deadline import NEVER, Deadline
 from dtmpc_drake.planning.sensitivity import kinks, transitions
 from dtmpc_drake.planning.splines import Sparse
 from dtmpc_drake.planning.transcription import (
@@ -546,11 +547,14 @@ class Program:
         )
         self._slack_cost.evaluator().UpdateCoefficients(np.full(1, penalty))
 
-    def solve(self) -> tuple[Array | None, str]:
+    def solve(self, deadline: Deadline = NEVER) -> tuple[Array | None, str]:
         """The step z, or None, and the solver's status."""
         status = ""
+        own = SolverOptions()
         # Fast options first; Clarabel's own where they are not good enough.
-        for options in (self._options, None):
+        for options in (self._options, own):
+            if np.isfinite(deadline.left):
+                options.SetOption(ClarabelSolver.id(), "time_limit", deadline.left)
             # As a batch of one it lets other threads run, which `Solve` does not.
             (result,) = SolveInParallel(
                 progs=[self.program],
@@ -690,12 +694,14 @@ class Result:
             tolerance any more.
         violation: of the iterate.
         failure: the solver's status, if it is what ended the iterations.
+        out_of_time: whether it was the deadline.
     """
 
     iterate: Iterate
     converged: bool
     violation: float
     failure: str | None = None
+    out_of_time: bool = False
 
 
 def _walk(
@@ -706,6 +712,7 @@ def _walk(
     predicted: float,
     penalty: float,
     tries: int,
+    deadline: Deadline,
 ) -> tuple[Array, Iterate, float, float]:
     """Walks along a step as far as the merit function keeps its promise.
 
@@ -718,6 +725,7 @@ def _walk(
         penalty: of the violation.
         tries: 1 for the whole step only, 2 for ever smaller parts of it, 3 for
             a second-order correction before that.
+        deadline: after which there is no correction.
 
     Returns:
         The step, the iterate that it leads to, the violation there, and the
@@ -737,9 +745,9 @@ def _walk(
     if kept(trial, worst, 1.0):
         return z, trial, worst, 1.0
     bend = np.zeros_like(z)
-    if tries > 2:
+    if tries > 2 and not deadline.passed:
         program.correct(z, trial)
-        corrected, _ = program.solve()
+        corrected, _ = program.solve(deadline)
         if corrected is not None:
             trial, worst = tried(corrected)
             if kept(trial, worst, 1.0):
@@ -765,6 +773,7 @@ def iterate_to_convergence(
     report: Callable[[Iteration], None],
     max_penalty: float = MAX_PENALTY,
     coarse: bool = False,
+    deadline: Deadline = NEVER,
 ) -> Result:
     """Runs the sequential convex program from a start.
 
@@ -778,6 +787,7 @@ def iterate_to_convergence(
         max_penalty: largest weight of the slack that is tried.
         coarse: solve the programs less accurately, and do without the
             second-order correction of steps that fail.
+        deadline: after which no convex program is begun.
     """
     tr = transcription
     clock = time.perf_counter
@@ -796,10 +806,12 @@ def iterate_to_convergence(
     stuck = failures = 0
     penalty, proximity, secant = PENALTY, 0.0, SECANT
     for _ in range(max_iterations):
+        if deadline.passed:
+            return Result(current, False, worst, out_of_time=True)
         t0 = clock()
         program.update(current, penalty, proximity, secant)
         t1 = clock()
-        z, status = program.solve()
+        z, status = program.solve(deadline)
         t2 = clock()
         if z is None:
             # Numerical trouble: a shorter step is an easier program.
@@ -815,7 +827,7 @@ def iterate_to_convergence(
         # Where there is next to nothing to gain, only the whole step is tried.
         last = predicted <= little and worst <= BACKOFF
         tries = 1 if last else 2 if coarse else 3
-        step = _walk(program, current, z, merit, predicted, penalty, tries)
+        step = _walk(program, current, z, merit, predicted, penalty, tries, deadline)
         z, trial, trial_worst, fraction = step
         flat = current.local.pack() + program.variables.local(z)
         defect = np.abs(flat - trial.local.pack())
