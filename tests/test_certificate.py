@@ -266,3 +266,18 @@ def test_a_polynomial_stays_in_its_range(coefficients, step, parts):
             assert np.abs(value).max() <= whole.largest(order)[k, 0] + 1e-9
     ends = np.polynomial.Polynomial(coefficients)(np.arange(parts + 1) * step / parts)
     np.testing.assert_allclose(whole.at_ends()[:, 0], ends, atol=1e-9)
+
+
+def test_no_plan_is_refused_for_a_hair_that_long_intervals_lose(
+    known_result: PlanningResult,
+) -> None:
+    plan, problem = known_result.plan, known_result.problem
+    time = plan.sample_times(1e-3)
+    position, tube = plan.reference(time)[:, 0], plan.error_bound(time)[:, 0]
+    true = problem.obstacles.clearance(position, tube, problem.tube_margin).min()
+    for room in (3e-5, 1e-5, -1e-5):
+        obstacles = dataclasses.replace(
+            problem.obstacles, radius=problem.obstacles.radius + true - room
+        )
+        certificate = certify(plan, dataclasses.replace(problem, obstacles=obstacles))
+        assert certificate.kept == (room > 0), certificate

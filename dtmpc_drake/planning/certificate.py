@@ -40,6 +40,9 @@ margins rest; in m for the position tube."""
 TOP_TOLERANCE = 2e-3
 """The same for the highest derivative that is a state (for n = 2 the velocity tube,
 in m/s), whose bound depends on itself and, through Δ̄, on the whole tube."""
+HAIR = 1e-3
+"""So much may an obstacle's bound be too low on the longest intervals, in m: one
+that is lower is not looked at on shorter ones."""
 _OF_THE_PLAN = ("tube", *OF_THE_ENDS)
 """Margins that say how far a plan agrees with itself and its problem: no limits."""
 
@@ -137,9 +140,8 @@ def certify(plan: Plan, problem: Problem) -> Certificate:
             if certificate.kept:
                 break
             name, margin = certificate.worst
-            # An obstacle's bound is cut on its own.
-            cut = name == "obstacles" or name in OF_THE_ENDS
-            if cut or not np.isfinite(margin.value):
+            hopeless = name == "obstacles" and margin.value < -HAIR
+            if hopeless or name in OF_THE_ENDS or not np.isfinite(margin.value):
                 break
     return certificate
 
