@@ -32,6 +32,7 @@ _OF_A_PLAN = (
     "cost",
     "input_cost",
     "bandwidth_cost",
+    "fixed_bandwidth",
     "crossover",
     "tube_mean",
     "tube_largest",
@@ -73,7 +74,6 @@ class Row:
             "feasible": plan is not None,
             "certified": outcome.certified,
             "message": outcome.message,
-            "fixed_bandwidth": outcome.baseline.fixed_bandwidth,
             "plan_time_s": outcome.plan_time,
         }
         numbers |= dict.fromkeys(_OF_A_PLAN)
@@ -84,6 +84,7 @@ class Row:
                 "cost": outcome.result.cost,
                 "input_cost": outcome.result.cost - part,
                 "bandwidth_cost": part,
+                "fixed_bandwidth": outcome.baseline.fixed_bandwidth,
                 "crossover": crossover(plan, outcome.baseline.scenario),
                 "tube_mean": tube.mean(),
                 "tube_largest": tube.max(),
@@ -213,6 +214,7 @@ def run(
             "seed": scenario.simulation.seed,
             "disturbances": list(DISTURBANCES),
             "currency": currency(scenario),
+            "advantage": advantage(rows),
             "baselines": [
                 row.numbers()
                 | {"sweep": [dataclasses.asdict(p) for p in row.outcome.sweep]}
@@ -249,6 +251,14 @@ def currency_text(scenario: Scenario) -> tuple[str, str]:
     )
 
 
+def advantage(rows: dict[str, Row]) -> float | None:
+    """What the best fixed bandwidth costs, by what DTMPC does, if both are certified."""
+    fixed, whole = rows["state_dependent"].outcome, rows["both"].outcome
+    if not (fixed.certified and whole.certified):
+        return None
+    return fixed.result.cost / whole.result.cost
+
+
 def to_figure(scenario: Scenario, rows: dict[str, Row]) -> Figure:
     """The plans, or last attempts at one, and in what their cost is counted."""
     panels = list(to_panels(rows.values()))
@@ -272,8 +282,9 @@ def to_panels(rows: Iterable[Row]) -> Iterator[Panel]:
             yield Panel(title, outcome.plan)
         elif result.attempt is not None:
             why = f"{result.status}, the last attempt"
-            if outcome.sweep:
-                why = f"nearest of {len(outcome.sweep)} attempts, {result.status}"
+            others = len(outcome.sweep) - 1
+            if others > 0:
+                why = f"{result.status}, as at {others} others; the nearest attempt"
             yield Panel(f"{title}: {why}", result.attempt)
 
 
@@ -317,12 +328,16 @@ def to_text(scenario: Scenario, rows: dict[str, Row]) -> str:
     table = text_table(["", *(title for title, _ in columns.values())], lines)
     bandwidth = scenario.controller.bandwidth
     step = RESOLUTION * (bandwidth.max - bandwidth.min)
+    factor = advantage(rows)
     legend = [
         *currency_text(scenario),
-        "ω_c: mean over time and axes, rad/s; fixed α: the best of a sweep whose last "
-        f"steps are {step:.3g} rad/s,",
-        "of the nominal plan the highest, with which it is flown;",
+        "ω_c: mean over time and axes, rad/s; fixed α: the best of a sweep in steps "
+        f"down to {step:.3g} rad/s,",
+        "of the nominal plan the highest, with which it is flown; plan s: of a whole "
+        "sweep;",
         "tube: Ω over time and axes, m; effort: ∫‖u‖² dt of the median flight;",
         f"flights through {', '.join(DISTURBANCES)}; clearance: smallest, m",
     ]
+    if factor is not None:
+        legend.append(f"the best fixed α costs {factor:.2f} times as much as DTMPC")
     return "\n".join([table, *legend, *(["", *notes] if notes else [])])
