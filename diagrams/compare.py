@@ -252,7 +252,7 @@ def currency_text(scenario: Scenario) -> tuple[str, str]:
 
 
 def advantage(rows: dict[str, Row]) -> float | None:
-    """What the best fixed bandwidth costs, by what DTMPC does, if both are certified."""
+    """What the best fixed bandwidth costs, relative to DTMPC, if both are certified."""
     fixed, whole = rows["state_dependent"].outcome, rows["both"].outcome
     if not (fixed.certified and whole.certified):
         return None
