@@ -323,10 +323,10 @@ BAD = {
     ),
     "field of another class": (
         "disturbance",
-        "!WorstCase {hold: 1}",
-        "disturbance.hold",
+        "!WorstCase {intensity: 1}",
+        "disturbance.intensity",
         "1",
-        "left out; the fields here are bound",
+        "left out; the fields here are bound, hold, model_error",
     ),
     "missing section": ("goal", None, "goal", "None", "missing"),
     "missing duration": ("duration", None, "duration", "None", "missing"),
@@ -354,7 +354,7 @@ BAD = {
     ),
     "unknown disturbance": (
         "disturbance",
-        "!Gust {bound: [1, 1, 1]}",
+        "!Squall {bound: [1, 1, 1]}",
         "disturbance",
         "'!Gust'",
         "!UniformHold",

@@ -230,11 +230,12 @@ def test_a_port_that_holds_no_plan_says_so(scenario: Scenario) -> None:
 # Disturbances.
 
 D = np.array([0.5, 0.2, 0.0])
+CHAIN = IntegratorChain(3, 2)
 
 
 def drawn(config: Disturbance, seed: int, times: Array) -> Array:
     """Samples of a disturbance that needs no inputs, ``(K, m)``."""
-    source = MakeDisturbance(config, slope=np.full(3, 2.0), order=2)
+    source = MakeDisturbance(config, model=CHAIN, slope=np.full(3, 2.0))
     context = source.CreateDefaultContext()
     source.SetRandomContext(context, RandomGenerator(seed))
     simulator = Simulator(source, context)
@@ -295,7 +296,8 @@ def test_a_constant_disturbance_is_its_fraction() -> None:
 
 def test_the_worst_case_pushes_along_the_sliding_variable() -> None:
     slope = np.full(3, 2.0)
-    source = MakeDisturbance(WorstCase(bound=D.tolist()), slope=slope, order=2)
+    worst = WorstCase(bound=D.tolist())
+    source = MakeDisturbance(worst, model=CHAIN, slope=slope)
     error = np.array([[0.1, -0.1, 0.1], [-0.3, 0.1, 0.0]])  # s = -0.1, -0.1, 0.2
     reference = np.arange(9.0)
     context = fixed(source, state=error.ravel() + reference[:6], reference=reference)
