@@ -163,8 +163,8 @@ class MonteCarlo:
                 "",
                 self.table(),
                 "",
-                "violations of layer and tubes; the largest of all ratios; clearance:"
-                " smallest, m; effort: ∫‖u‖² dt",
+                "distinct: not the same to the last bit; violations of layer and tubes;"
+                " the largest of all ratios; clearance: smallest, m; effort: ∫‖u‖² dt",
             ]
         lines += ["", "files", *(f"  {path}" for path in self.files)]
         return "\n".join(lines)

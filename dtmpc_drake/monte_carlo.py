@@ -39,7 +39,7 @@ RATIOS = ("layer", "position", "velocity")
 PATIENCE = 10.0
 """How long an existing scheduler may take to answer, in s."""
 
-SPREAD = 8.0
+SPREAD = 4.0
 """How many times longer or shorter a worst case holds its push in some trials."""
 _NEVER = 1e6
 """So many times longer is longer than any flight."""
@@ -147,7 +147,7 @@ def _draw_initial_error(scenario: Scenario, generator: np.random.Generator) -> A
 KINDS: dict[str, Callable[[list[float]], Disturbance]] = {
     "uniform": lambda bound: UniformHold(bound=bound),
     "bang_bang": lambda bound: BangBang(bound=bound),
-    "worst_case": lambda bound: WorstCase(bound=bound, hold=2.0, model_error=True),
+    "worst_case": lambda bound: WorstCase(bound=bound, hold=1.5, model_error=True),
     "wind": lambda bound: ColoredWind(bound=bound, intensity=1.0),
     "gust": lambda bound: Gust(bound=bound, model_error=True),
 }

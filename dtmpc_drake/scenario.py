@@ -138,8 +138,8 @@ class ColoredWind:
 class Gust:
     """A disturbance that pushes all outputs in one direction, for long.
 
-    The direction is drawn at random, one half of the time from the corners of the
-    bounds and else from the sphere, and as strong as the bounds allow.
+    Each is as strong as the bounds allow: one half of the time at a corner of the
+    box abs(d) <= D, and else anywhere on its surface.
 
     Attributes:
         bound: D on every output, in m/s².

@@ -2,7 +2,7 @@
 
 from dtmpc_drake.systems.disturbance import MakeDisturbance, SeedTrials
 from dtmpc_drake.systems.dtmpc_planner import DtmpcPlanner, hold_plan
-from dtmpc_drake.systems.gust_direction import GustDirection
+from dtmpc_drake.systems.gusts import Gusts
 from dtmpc_drake.systems.model_error import ModelError
 from dtmpc_drake.systems.obstacle_sensor import ObstacleSensor
 from dtmpc_drake.systems.plant import Plant, Plant_
@@ -15,7 +15,7 @@ from dtmpc_drake.systems.tube_monitor import TubeMonitor, tube_ratios
 
 __all__ = [
     "DtmpcPlanner",
-    "GustDirection",
+    "Gusts",
     "MakeDisturbance",
     "ModelError",
     "ObstacleSensor",

@@ -43,7 +43,7 @@ from dtmpc_drake.scenario import (
     WorstCase,
     require_kind,
 )
-from dtmpc_drake.systems.gust_direction import GustDirection
+from dtmpc_drake.systems.gusts import Gusts
 from dtmpc_drake.systems.model_error import ModelError
 from dtmpc_drake.systems.relay import Relay
 from dtmpc_drake.systems.reversals import Reversals
@@ -213,9 +213,9 @@ class _Parts:
     def gust(self, hold: float) -> OutputPort:
         """One direction of all outputs after the other."""
         m = self.model.num_outputs
-        noise = self.noise(RandomDistribution.kGaussian, hold, m + 1)
-        direction = GustDirection(num_outputs=m, trials=self.trials)
-        return self.chain(noise, direction).get_output_port()
+        noise = self.noise(RandomDistribution.kUniform, _LOOK, m + 1)
+        gusts = Gusts(num_outputs=m, hold=hold, period=_LOOK, trials=self.trials)
+        return self.chain(noise, gusts).get_output_port()
 
     def look_at(self, name: str, system: System) -> None:
         """Connects an input port of a system to that of the diagram."""
