@@ -158,7 +158,8 @@ def choose_disturbances(scenario: Scenario, choice: str) -> dict[str, Disturbanc
     """The disturbances to fly through, by name, all with the scenario's bound.
 
     Args:
-        scenario: whose own disturbance stands in for the one of its kind.
+        scenario: whose own disturbance stands in for the one of its kind, but for a
+            worst case that does not reverse: of that there are too few flights.
         choice: one of `KINDS`, ``all`` of them, or ``scenario`` for its own.
 
     Raises:
@@ -172,7 +173,8 @@ def choose_disturbances(scenario: Scenario, choice: str) -> dict[str, Disturbanc
         allowed = ", ".join((*KINDS, "all", "scenario"))
         raise ScenarioError("disturbance", choice, f"one of {allowed}")
     made = {name: KINDS[name](list(own.bound)) for name in names}
-    return {n: own if type(own) is type(d) else d for n, d in made.items()}
+    varied = not isinstance(own, WorstCase) or own.hold is not None
+    return {n: own if varied and type(own) is type(d) else d for n, d in made.items()}
 
 
 # Spreading.

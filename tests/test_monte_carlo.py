@@ -192,6 +192,11 @@ def test_the_hard_disturbances_have_the_bound_of_the_scenario() -> None:
     assert list(chosen) == list(KINDS)
     assert all(d.bound == [0.1, 0.2, 0.3] for d in chosen.values())
     assert chosen["uniform"] == scenario.disturbance  # its own hold, too
+    scenario.disturbance = WorstCase(bound=[0.1] * 3, hold=0.7)
+    assert choose_disturbances(scenario, "worst_case")["worst_case"].hold == 0.7
+    scenario.disturbance = WorstCase(bound=[0.1] * 3)
+    reversing = choose_disturbances(scenario, "worst_case")["worst_case"]
+    assert reversing == KINDS["worst_case"]([0.1] * 3) != scenario.disturbance
     own = dataclasses.replace(scenario, disturbance=Constant(bound=[0.1] * 3))
     assert choose_disturbances(own, "scenario") == {"scenario": own.disturbance}
     with pytest.raises(ScenarioError, match="got 'storm', but it must be one of"):
@@ -683,13 +688,20 @@ def test_the_figures_show_every_cloud(flown: tuple[Scenario, Plan]) -> None:
         name: fly(Batch(name, through(scenario, name), chosen, range(3)))
         for name in ("worst_case", "uniform")
     }
+    names = [f"1000 × {name.replace('_', ' ')}" for name in KINDS]
     figure = plot_plan(
         scenario=scenario,
         plan=chosen,
-        position={name: f.position for name, f in flights.items()},
+        position={name: flights["worst_case"].position for name in names},
     )
-    labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert {"worst_case", "uniform"} <= set(labels)
+    legend = figure.legends[0]
+    handles = zip(legend.get_texts(), legend.legend_handles, strict=True)
+    colors = {text.get_text(): handle for text, handle in handles}
+    assert set(names) <= set(colors)
+    assert len({colors[name].get_color() for name in names}) == len(KINDS)
+    figure.canvas.draw()
+    box = legend.get_window_extent()
+    assert box.x0 >= 0 and box.x1 <= figure.bbox.x1 and box.y1 <= figure.bbox.y1
     ratios = {name: f.position_ratio for name, f in flights.items()}
     figure = plot_quantiles(time=flights["uniform"].time, ratios=ratios)
     titles = [axes.get_title(loc="left") for axes in figure.axes]
