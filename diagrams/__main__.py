@@ -112,7 +112,7 @@ def monte_carlo(
         str,
         typer.Option(
             metavar="KIND",
-            help="uniform, bang_bang, worst_case, wind, all of these, or scenario.",
+            help="uniform, bang_bang, worst_case, wind, gust, all, or scenario.",
         ),
     ] = "all",
     seed: SeedOption = None,
@@ -168,7 +168,7 @@ def compare(
 ) -> None:
     """Plan a scenario with and without parts of the method, and fly each plan.
 
-    The flights of a plan are shared by bang_bang, worst_case and wind.
+    The flights of a plan are shared by bang_bang, worst_case, wind and gust.
 
     Exits with 0 if the whole method's plan is certified and no flight of it left
     its tube or hit anything, else with 3.

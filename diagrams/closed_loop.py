@@ -75,7 +75,8 @@ def MakeClosedLoop(
         A diagram named ``closed_loop`` that exports the output ports `state`,
         `control`, `reference`, `plan`, `status`, `disturbance`, `tube_ratios`
         and `clearance`; if there may be more plans than one, `known_since` and
-        `replans`, too.  See the systems for their meaning.
+        `replans`, too; if the disturbance chooses it, `model_error`.  See the
+        systems for their meaning.
 
     Raises:
         ValueError: if trials come without a plan or with a Meshcat, or with a
@@ -83,7 +84,8 @@ def MakeClosedLoop(
     """
     model = scenario.model
     parameters: dict[str, Any] = dict(scenario.plant_parameters())
-    count = None
+    initial_error = scenario.initial_error_state()
+    count = disturbances = None
     if trials is not None:
         if plan is None or meshcat is not None:
             raise ValueError("trials: they fly a given plan, and are not shown")
@@ -91,13 +93,16 @@ def MakeClosedLoop(
         count = len(trials)
         for name in parameters:
             parameters[name] = [trial.parameters[name] for trial in trials]
+        own = [trial.scenario(scenario) for trial in trials]
+        initial_error = np.stack([one.initial_error_state() for one in own])
+        disturbances = [one.disturbance for one in own]
     builder = DiagramBuilder()
     plant = builder.AddNamedSystem(
         "plant",
         Plant(
             model=model,
             parameters=parameters,
-            initial_state=scenario.start_state() + scenario.initial_error_state(),
+            initial_state=scenario.start_state() + initial_error,
             trials=count,
         ),
     )
@@ -111,9 +116,9 @@ def MakeClosedLoop(
         "disturbance",
         MakeDisturbance(
             scenario.disturbance,
+            model=model,
             slope=scenario.slope(),
-            order=model.order,
-            trials=count,
+            trials=disturbances,
             duration=scenario.duration,
         ),
     )
@@ -150,7 +155,10 @@ def MakeClosedLoop(
     builder.Connect(outputs["plan"], tracker.GetInputPort("plan"))
     builder.Connect(outputs["control"], plant.GetInputPort("control"))
     builder.Connect(outputs["disturbance"], plant.GetInputPort("disturbance"))
-    for name in ("state", "reference"):  # only the worst case looks at them
+    if disturbance.HasOutputPort("model_error"):
+        outputs["model_error"] = disturbance.GetOutputPort("model_error")
+        builder.Connect(outputs["model_error"], plant.GetInputPort("model_error"))
+    for name in ("state", "reference"):  # only the hardest look at them
         if disturbance.HasInputPort(name):
             builder.Connect(outputs[name], disturbance.GetInputPort(name))
     if meshcat is not None:

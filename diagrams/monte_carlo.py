@@ -138,15 +138,16 @@ class MonteCarlo:
 
     def table(self) -> str:
         """One line a disturbance."""
-        columns = ["", "flights", "violations", "collisions", "|s|/Φ", "|ỹ|/Ω"]
-        columns += ["|dỹ/dt|/W", "clearance", "effort: least", "median", "most"]
+        columns = ["", "flights", "distinct", "violations", "collisions"]
+        columns += ["|s|/Φ", "|ỹ|/Ω", "|dỹ/dt|/W", "clearance"]
+        columns += ["effort: least", "median", "most"]
         rows = []
         for name, flown in self.flights.items():
             rows.append(
                 [
                     name,
-                    *map(str, (len(flown), sum(flown.violations.values()))),
-                    str(flown.collisions),
+                    *map(str, (len(flown), flown.distinct)),
+                    *map(str, (sum(flown.violations.values()), flown.collisions)),
                     *(f"{ratio:.3f}" for ratio in flown.worst_ratios.max(axis=0)),
                     f"{flown.smallest_clearance.min():.3f}",
                     *(f"{value:.2f}" for value in flown.summary()["effort"].values()),
@@ -162,8 +163,8 @@ class MonteCarlo:
                 "",
                 self.table(),
                 "",
-                "violations of layer and tubes; the largest of all ratios; clearance:"
-                " smallest, m; effort: ∫‖u‖² dt",
+                "distinct: not the same to the last bit; violations of layer and tubes;"
+                " the largest of all ratios; clearance: smallest, m; effort: ∫‖u‖² dt",
             ]
         lines += ["", "files", *(f"  {path}" for path in self.files)]
         return "\n".join(lines)

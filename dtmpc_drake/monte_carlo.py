@@ -21,11 +21,14 @@ from dtmpc_drake.scenario import (
     BangBang,
     ColoredWind,
     Disturbance,
+    Gust,
     Scenario,
     ScenarioError,
     UniformHold,
+    Waypoint,
     WorstCase,
 )
+from dtmpc_drake.sliding import sliding_variable
 
 REPORT_PERIOD = 0.05
 """Between two samples that are kept of a flight, in s."""
@@ -35,6 +38,11 @@ RATIOS = ("layer", "position", "velocity")
 
 PATIENCE = 10.0
 """How long an existing scheduler may take to answer, in s."""
+
+SPREAD = 4.0
+"""How many times longer or shorter a worst case holds its push in some trials."""
+_NEVER = 1e6
+"""So many times longer is longer than any flight."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -49,20 +57,33 @@ class Trial:
     Attributes:
         index: its number, from 0.
         seed: of everything random in it.
-        parameters: of the true plant, by name.
+        parameters: of the true plant, by name; without effect where the disturbance
+            chooses the model error.
+        initial_error: of the plant; None for none.
+        patience: how many times longer than the scenario says a `WorstCase` that
+            reverses its push holds it.
     """
 
     index: int
     seed: int
     parameters: dict[str, float]
+    initial_error: Waypoint | None = None
+    patience: float = 1.0
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
     def scenario(self, scenario: Scenario) -> Scenario:
         """The scenario of this trial alone, to be simulated by itself."""
+        disturbance = scenario.disturbance
+        if isinstance(disturbance, WorstCase) and disturbance.hold is not None:
+            disturbance = dataclasses.replace(
+                disturbance, hold=self.patience * disturbance.hold
+            )
         return dataclasses.replace(
             scenario,
             plant=dict(self.parameters),
+            initial_error=self.initial_error,
+            disturbance=disturbance,
             simulation=dataclasses.replace(scenario.simulation, seed=self.seed),
         )
 
@@ -73,7 +94,10 @@ def draw_trials(scenario: Scenario, indices: Iterable[int]) -> list[Trial]:
     A trial is a function of the scenario's seed and of its own number alone.
     True parameters are spread over all that the model allows, whatever the
     scenario's plant has: trial 0 is at the low end, trial 1 at the high end, and
-    the others are uniform between.
+    the others are uniform between.  The initial error is the scenario's in trial 0,
+    its negative in trial 1, and anywhere between the two in the others, in every
+    output and derivative.  A worst case that reverses never does so in the first
+    two; in the others it holds its push up to `SPREAD` times longer or shorter.
     """
     intervals = {
         name: scenario.model.parameter_interval(name)
@@ -82,23 +106,50 @@ def draw_trials(scenario: Scenario, indices: Iterable[int]) -> list[Trial]:
     trials = []
     for index in indices:
         entropy = np.random.SeedSequence([scenario.simulation.seed, index])
-        share = np.random.default_rng(entropy).random(len(intervals))
+        generator = np.random.default_rng(entropy)
+        share = generator.random(len(intervals))
+        patience = SPREAD ** generator.uniform(-1, 1)
+        error = _draw_initial_error(scenario, generator)
         if index < 2:
             share[:] = index
+            patience = _NEVER
+            error = (1 - 2 * index) * scenario.initial_error_state()
         parameters = {
             name: float((1 - s) * low + s * high)
             for s, (name, (low, high)) in zip(share, intervals.items(), strict=True)
         }
-        seed = int(entropy.generate_state(1)[0])
-        trials.append(Trial(index, seed, parameters))
+        trials.append(
+            Trial(
+                index=index,
+                seed=int(entropy.generate_state(1)[0]),
+                parameters=parameters,
+                initial_error=scenario.initial_error and Waypoint(*error[:3].tolist()),
+                patience=patience,
+            )
+        )
     return trials
+
+
+def _draw_initial_error(scenario: Scenario, generator: np.random.Generator) -> Array:
+    """Any error that is nowhere larger than the scenario's, ``(n, m)``.
+
+    The tube opens from its absolute values and so holds all of these, but for
+    the layer: signs that differ from the scenario's can give a larger |s(t0)|.
+    Such an error is made smaller.
+    """
+    error = scenario.initial_error_state()
+    error = generator.uniform(-1, 1, error.shape) * error
+    s = np.abs(sliding_variable(error, scenario.slope()))
+    layer = scenario.initial_boundary_layer() * (1 - 1e-9)
+    return np.asarray(error * layer / np.maximum(s, layer))
 
 
 KINDS: dict[str, Callable[[list[float]], Disturbance]] = {
     "uniform": lambda bound: UniformHold(bound=bound),
     "bang_bang": lambda bound: BangBang(bound=bound),
-    "worst_case": lambda bound: WorstCase(bound=bound),
+    "worst_case": lambda bound: WorstCase(bound=bound, hold=1.5, model_error=True),
     "wind": lambda bound: ColoredWind(bound=bound, intensity=1.0),
+    "gust": lambda bound: Gust(bound=bound, model_error=True),
 }
 """What `choose_disturbances` makes of a bound D."""
 
@@ -107,7 +158,8 @@ def choose_disturbances(scenario: Scenario, choice: str) -> dict[str, Disturbanc
     """The disturbances to fly through, by name, all with the scenario's bound.
 
     Args:
-        scenario: whose own disturbance stands in for the one of its kind.
+        scenario: whose own disturbance stands in for the one of its kind, but for a
+            worst case that does not reverse: of that there are too few flights.
         choice: one of `KINDS`, ``all`` of them, or ``scenario`` for its own.
 
     Raises:
@@ -121,7 +173,8 @@ def choose_disturbances(scenario: Scenario, choice: str) -> dict[str, Disturbanc
         allowed = ", ".join((*KINDS, "all", "scenario"))
         raise ScenarioError("disturbance", choice, f"one of {allowed}")
     made = {name: KINDS[name](list(own.bound)) for name in names}
-    return {n: own if type(own) is type(d) else d for n, d in made.items()}
+    varied = not isinstance(own, WorstCase) or own.hold is not None
+    return {n: own if varied and type(own) is type(d) else d for n, d in made.items()}
 
 
 # Spreading.
@@ -334,6 +387,11 @@ class Flights:
         return int((self.smallest_clearance <= 0).sum())
 
     @property
+    def distinct(self) -> int:
+        """How many different flights there are, to the last bit of a position."""
+        return len({flight.tobytes() for flight in self.position})
+
+    @property
     def safe(self) -> bool:
         """Whether no trial left its tube or touched anything."""
         return not any(self.violations.values()) and not self.collisions
@@ -354,6 +412,7 @@ class Flights:
         worst = int(self.worst_ratios[:, 1].argmax())
         return {
             "trials": len(self),
+            "distinct": self.distinct,
             "violations": self.violations,
             "collisions": self.collisions,
             "worst_ratios": dict(
@@ -371,7 +430,8 @@ class Flights:
         """Names what a reader wants to know first."""
         layer, position, velocity = self.worst_ratios.max(axis=0)
         return (
-            f"Flights({len(self)} trials, {sum(self.violations.values())} violations, "
+            f"Flights({len(self)} trials, {self.distinct} distinct, "
+            f"{sum(self.violations.values())} violations, "
             f"{self.collisions} collisions, worst |s|/Φ {layer:.3f}, |ỹ|/Ω "
             f"{position:.3f}, |dỹ/dt|/W {velocity:.3f}, clearance "
             f"{self.smallest_clearance.min():.3f} m)"

@@ -6,7 +6,7 @@ them into arrays, so that every distance is one batched expression.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import ClassVar, Union
+from typing import ClassVar, Union, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -104,7 +104,15 @@ class ObstacleSet:
 
     @classmethod
     def stack(cls, obstacles: Sequence[Obstacle], num_outputs: int) -> "ObstacleSet":
-        """Stacks the obstacles of a scenario with `num_outputs` outputs."""
+        """Stacks the obstacles of a scenario with `num_outputs` outputs.
+
+        Raises:
+            TypeError: if one is of no class that is known here, a subclass included.
+        """
+        for o in obstacles:
+            if type(o) not in get_args(Obstacle):
+                known = ", ".join(kind.__name__ for kind in get_args(Obstacle))
+                raise TypeError(f"{type(o).__name__} is no obstacle; there are {known}")
         matrices = [o.shape_matrix(num_outputs) for o in obstacles]
         rows = max((len(H) for H in matrices), default=1)
         shape = np.zeros((len(obstacles), rows, num_outputs))

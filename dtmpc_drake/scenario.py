@@ -99,15 +99,24 @@ class BangBang:
 
 @dataclasses.dataclass
 class WorstCase:
-    """A disturbance that pushes along the sliding variable, away from the plan.
+    """A disturbance that pushes away from the plan with all that is allowed.
 
-    Where there is no error yet, the seed decides to which side of every output.
+    It pushes along the sliding variable; where there is no error yet, the seed
+    decides to which side of every output.  With `hold` it pushes every output to a
+    side that the seed decides, and at random times to the opposite one.
 
     Attributes:
         bound: D on every output, in m/s².
+        hold: the mean time between two reversals of the push on an output, in s;
+            if left out, it follows the sliding variable.
+        model_error: whether the model error is at a bound, too: ±Δ(x), on the side
+            of the push, instead of what the plant's true parameters make of it.
+            With `hold` the two are now and then apart.
     """
 
     bound: list[float] = _three(0.5)
+    hold: float | None = None
+    model_error: bool = False
 
 
 @dataclasses.dataclass
@@ -125,7 +134,28 @@ class ColoredWind:
     intensity: float = 0.5
 
 
-Disturbance = Union[UniformHold, Constant, BangBang, WorstCase, ColoredWind]  # noqa: UP007
+@dataclasses.dataclass
+class Gust:
+    """A disturbance that pushes all outputs in one direction, for long.
+
+    Each is as strong as the bounds allow: one half of the time at a corner of the
+    box abs(d) <= D, and else anywhere on its surface.
+
+    Attributes:
+        bound: D on every output, in m/s².
+        hold: how long a direction is kept, in s; long compared with 1/λ and 1/α.
+        model_error: whether the model error is Δ(x) in the same direction, instead
+            of what the plant's true parameters make of it.
+    """
+
+    bound: list[float] = _three(0.5)
+    hold: float = 4.0
+    model_error: bool = False
+
+
+Disturbance = Union[  # noqa: UP007
+    UniformHold, Constant, BangBang, WorstCase, ColoredWind, Gust
+]
 
 
 @dataclasses.dataclass
@@ -458,10 +488,20 @@ class Scenario:
         Raises:
             ScenarioError: at the first thing that is wrong.
         """
+        self._check_kinds()
         _check_numbers(self, "")
         self._check_sizes()
         self._check_ranges()
         self._check_together()
+
+    def _check_kinds(self) -> None:
+        require_kind("disturbance", self.disturbance, Disturbance)
+        for i, obstacle in enumerate(self.obstacles):
+            require_kind(f"obstacles[{i}]", obstacle, Obstacle)
+        ok = isinstance(self.model, Model)
+        _require(
+            "model", type(self.model).__name__, ok, "a Model of dtmpc_drake.models"
+        )
 
     def _check_sizes(self) -> None:
         m, n = self.model.num_outputs, self.model.order
@@ -525,8 +565,9 @@ class Scenario:
         for i, obstacle in enumerate(self.obstacles):
             positive[f"obstacles[{i}].radius"] = (obstacle.radius, "m")
         for name in ("hold", "correlation_time"):
-            if hasattr(self.disturbance, name):
-                positive[f"disturbance.{name}"] = (getattr(self.disturbance, name), "s")
+            seconds = getattr(self.disturbance, name, None)
+            if seconds is not None:
+                positive[f"disturbance.{name}"] = (seconds, "s")
         for field, (value, unit) in positive.items():
             _require(field, value, value > 0, f"greater than 0 {unit}")
         for i, obstacle in enumerate(self.obstacles):
@@ -696,7 +737,14 @@ class Scenario:
         return np.asarray(tube.error_bound[-1, 0])
 
     def to_yaml(self) -> str:
-        """The scenario as a file that `load_scenario` reads."""
+        """The scenario as a file that `load_scenario` reads.
+
+        Raises:
+            ScenarioError: if something is of a class that no file can name, such as
+                a model of your own: it would be written as a similar one.
+        """
+        self._check_kinds()
+        require_kind("model", self.model, ModelConfig)
         return str(yaml_dump_typed(self, schema=Scenario))
 
     def __repr__(self) -> str:
@@ -712,6 +760,19 @@ class Scenario:
 def _require(field: str, value: Any, ok: bool, allowed: str) -> None:
     if not ok:
         raise ScenarioError(field, value, allowed)
+
+
+def require_kind(field: str, value: Any, union: Any) -> None:
+    """Refuses what is none of the classes of a union, a subclass included.
+
+    Nobody could tell what a class that is not known here means.
+
+    Raises:
+        ScenarioError: that names the class.
+    """
+    kinds = typing.get_args(union)
+    names = ", ".join(kind.__name__ for kind in kinds)
+    _require(field, type(value).__name__, type(value) in kinds, f"one of {names}")
 
 
 def _integration_schemes() -> tuple[str, ...]:
@@ -919,6 +980,7 @@ __all__ = [
     "Cylinder",
     "Disturbance",
     "Ellipsoid",
+    "Gust",
     "Limits",
     "ModelConfig",
     "Planner",
@@ -932,5 +994,6 @@ __all__ = [
     "WorstCase",
     "load_scenario",
     "parse_scenario",
+    "require_kind",
     "shipped_scenarios",
 ]

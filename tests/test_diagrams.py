@@ -24,6 +24,7 @@ from dtmpc_drake.scenario import (
     Constant,
     Controller,
     Disturbance,
+    Gust,
     Limits,
     Planner,
     Scenario,
@@ -86,6 +87,9 @@ DISTURBANCES: dict[str, Callable[[list[float]], Disturbance]] = {
     "constant": lambda D: Constant(bound=D, fraction=-1.0),
     "bang_bang": lambda D: BangBang(bound=D, hold=0.3),
     "worst_case": lambda D: WorstCase(bound=D),
+    "worst_model": lambda D: WorstCase(bound=D, model_error=True),
+    "reversing": lambda D: WorstCase(bound=D, hold=0.5, model_error=True),
+    "gust": lambda D: Gust(bound=D, hold=1.5, model_error=True),
     "wind": lambda D: ColoredWind(bound=D, correlation_time=0.3, intensity=0.7),
 }
 
@@ -158,7 +162,7 @@ def test_a_plant_that_breaks_its_bounds_is_seen_outside(planned: Planned) -> Non
 def test_the_seed_decides_everything_random(planned: Planned) -> None:
     scenario, flown = planned("known_drag")
     scenario = dataclasses.replace(scenario, duration=1.0)
-    for name in ("uniform", "bang_bang", "wind"):
+    for name in ("uniform", "bang_bang", "wind", "reversing", "gust"):
         source = DISTURBANCES[name]([0.3, 0.3, 0.3])
         scenario = dataclasses.replace(scenario, disturbance=source)
         first, again, other = (

@@ -20,7 +20,12 @@ from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from pydrake.common import RandomDistribution, RandomGenerator
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.primitives import FirstOrderTaylorApproximation, RandomSource
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import (
+    FirstOrderTaylorApproximation,
+    LogVectorOutput,
+    RandomSource,
+)
 from typer.testing import CliRunner
 
 from diagrams.__main__ import app
@@ -29,6 +34,7 @@ from diagrams.monte_carlo import OUTPUTS, Batch, fly, fly_all, reduce
 from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
 from dtmpc_drake.monte_carlo import (
     KINDS,
+    SPREAD,
     Flights,
     batches,
     choose_disturbances,
@@ -41,15 +47,25 @@ from dtmpc_drake.planning import plan
 from dtmpc_drake.scenario import (
     Constant,
     Controller,
+    Disturbance,
     Limits,
     Planner,
     Scenario,
     ScenarioError,
     UniformHold,
     Waypoint,
+    WorstCase,
     load_scenario,
 )
-from dtmpc_drake.systems import Plant, SlidingModeTracker, TrialNoise, hold_plan
+from dtmpc_drake.sliding import sliding_variable
+from dtmpc_drake.systems import (
+    Plant,
+    SeedTrials,
+    SlidingModeTracker,
+    TrialNoise,
+    hold_plan,
+)
+from dtmpc_drake.tube import initial_stages
 from dtmpc_drake.visualization import plot_plan, plot_quantiles
 
 
@@ -127,12 +143,60 @@ def test_true_parameters_are_spread_over_all_that_the_model_allows() -> None:
         trial.scenario(scenario).validate()
 
 
+def test_the_initial_error_is_anywhere_within_that_of_the_scenario() -> None:
+    scenario = short(
+        initial_error=Waypoint([0.05, 0.0, -0.02], [-0.2, 0.1, 0.1]),
+    )
+    declared = scenario.initial_error_state()
+    trials = draw_trials(scenario, range(300))
+    own = [trial.scenario(scenario) for trial in trials]
+    for one in own:
+        one.validate()
+    errors = np.array([one.initial_error_state() for one in own])
+    np.testing.assert_array_equal(errors[0], declared)
+    np.testing.assert_array_equal(errors[1], -declared)
+    assert (np.abs(errors) <= np.abs(declared)).all()
+    # Also with other signs, to the layer's edge, but not out of the layer.
+    s = np.abs(sliding_variable(errors, scenario.slope()))
+    assert 0.199 < s[:, 0].max() <= scenario.controller.initial_boundary_layer
+    assert (errors.max(axis=0) > 0.9 * np.abs(declared)).all(where=declared != 0)
+    for trial in draw_trials(short(), range(3)):
+        assert trial.initial_error is None
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+def test_a_tube_opens_for_every_error_of_that_size(order: int) -> None:
+    generator = np.random.default_rng(order)
+    for _ in range(100):
+        size = generator.exponential(size=(order, 2))
+        slope = generator.exponential(size=2)
+        opened = initial_stages(size, slope)
+        for _ in range(20):
+            error = size * generator.choice([-1, 1, generator.uniform()], size.shape)
+            assert (initial_stages(error, slope) <= opened * (1 + 1e-12)).all()
+
+
+def test_a_worst_case_that_reverses_does_so_at_another_pace_in_every_trial() -> None:
+    scenario = short(disturbance=WorstCase(bound=[0.3] * 3, hold=2.0))
+    trials = draw_trials(scenario, range(100))
+    holds = [trial.scenario(scenario).disturbance.hold for trial in trials]
+    assert min(holds[:2]) > 1e3 * scenario.duration  # the first two never reverse
+    assert 2.0 / SPREAD < min(holds[2:]) < 0.6 and 7.0 < max(holds[2:]) < 2.0 * SPREAD
+    follows = short(disturbance=WorstCase(bound=[0.3] * 3))
+    assert trials[5].scenario(follows).disturbance == follows.disturbance
+
+
 def test_the_hard_disturbances_have_the_bound_of_the_scenario() -> None:
     scenario = short(disturbance=UniformHold(bound=[0.1, 0.2, 0.3], hold=0.07))
     chosen = choose_disturbances(scenario, "all")
     assert list(chosen) == list(KINDS)
     assert all(d.bound == [0.1, 0.2, 0.3] for d in chosen.values())
     assert chosen["uniform"] == scenario.disturbance  # its own hold, too
+    scenario.disturbance = WorstCase(bound=[0.1] * 3, hold=0.7)
+    assert choose_disturbances(scenario, "worst_case")["worst_case"].hold == 0.7
+    scenario.disturbance = WorstCase(bound=[0.1] * 3)
+    reversing = choose_disturbances(scenario, "worst_case")["worst_case"]
+    assert reversing == KINDS["worst_case"]([0.1] * 3) != scenario.disturbance
     own = dataclasses.replace(scenario, disturbance=Constant(bound=[0.1] * 3))
     assert choose_disturbances(own, "scenario") == {"scenario": own.disturbance}
     with pytest.raises(ScenarioError, match="got 'storm', but it must be one of"):
@@ -177,12 +241,23 @@ MODELS: dict[str, Callable[[], Scenario]] = {
 }
 
 
+OTHERS: dict[str, Callable[[list[float]], Disturbance]] = {
+    "along_the_error": lambda bound: WorstCase(bound=bound),
+    "model_error_too": lambda bound: WorstCase(bound=bound, model_error=True),
+    "true_parameters": lambda bound: WorstCase(bound=bound, hold=0.5),
+}
+
+
 @pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("disturbance", KINDS)
+@pytest.mark.parametrize("disturbance", [*KINDS, *OTHERS])
 def test_a_trial_flies_in_any_batch_as_it_flies_alone(
     model: str, disturbance: str
 ) -> None:
-    scenario = through(MODELS[model](), disturbance)
+    scenario = MODELS[model]()
+    make = (KINDS | OTHERS)[disturbance]
+    scenario.disturbance = make(scenario.disturbance.bound)
+    size = 0.02 * np.ones(scenario.model.num_outputs)
+    scenario.initial_error = Waypoint(size.tolist(), (-3 * size).tolist())
     resting = hold_plan(scenario)
     scenario.duration = 1.5
     trials = draw_trials(scenario, range(37))
@@ -192,8 +267,9 @@ def test_a_trial_flies_in_any_batch_as_it_flies_alone(
         alone = Simulate(trials[i].scenario(scenario), plan=resting)
         assert_same_log(batch.trial(i), alone)
     assert_same_log(batch.trial(31), other.trial(1))
-    if disturbance != "worst_case":  # each has noise of its own
-        assert np.ptp(batch.disturbance, axis=1).max() > 0.2
+    # Each starts elsewhere, and has noise of its own.
+    assert len(np.unique(batch.state[0], axis=0)) == 37
+    assert np.ptp(batch.disturbance, axis=1).max() > 0.2
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -208,6 +284,37 @@ def test_the_log_of_many_trials_has_the_extremes_of_each(
     for name, value in log.extremes().items():
         pick = min if name == "smallest_clearance" else max
         assert value == pick(seen[name] for seen in each), name
+
+
+@pytest.mark.parametrize("disturbance", ["worst_case", "gust"])
+@pytest.mark.parametrize("model", MODELS)
+def test_the_model_error_follows_the_state_within_its_bound(
+    model: str, disturbance: str
+) -> None:
+    scenario = through(MODELS[model](), disturbance)
+    chosen = planned(scenario)
+    trials = draw_trials(scenario, range(20))
+    loop = MakeClosedLoop(scenario, plan=chosen, trials=trials)
+    builder = DiagramBuilder()
+    builder.AddSystem(loop)
+    sinks = {
+        name: LogVectorOutput(loop.GetOutputPort(name), builder, 0.01)
+        for name in ("state", "model_error")
+    }
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    context = simulator.get_mutable_context()
+    seeds = [trial.seed for trial in trials]
+    SeedTrials(loop.GetSubsystemByName("disturbance"), context, seeds)
+    simulator.AdvanceTo(scenario.duration)
+    n, m = scenario.model.order, scenario.model.num_outputs
+    state, error = (sinks[name].FindLog(context).data().T for name in sinks)
+    bound = scenario.model.model_error_bound(state.reshape(-1, 20, n, m))
+    share = error.reshape(-1, 20, m) / np.maximum(bound, 1e-300)
+    assert np.abs(share).max() <= 1
+    assert np.ptp(bound, axis=0).max() > 0.03  # the bound does follow the state
+    if disturbance == "worst_case":
+        assert set(np.unique(share)) == {-1.0, 1.0}
 
 
 def test_trials_do_not_see_each_other() -> None:
@@ -256,12 +363,85 @@ def test_no_trial_leaves_its_tube(
     assert flights.safe
     drag = flights.parameters["drag"]
     assert (drag.min(), drag.max()) == scenario.model.parameter_interval("drag")
-    if disturbance in ("bang_bang", "worst_case"):  # the tube is not merely large
+    assert flights.distinct > 140  # a corner may come again
+    if disturbance not in ("uniform", "wind"):  # the tube is not merely large
         assert flights.worst_ratios[:, 1].max() > 0.7
 
 
+@pytest.mark.parametrize("disturbance", KINDS)
+@pytest.mark.parametrize("model", MODELS)
+def test_no_trial_that_starts_with_an_error_leaves_its_tube(
+    model: str, disturbance: str
+) -> None:
+    """Not even one whose signs are none of the scenario's."""
+    scenario = MODELS[model]()
+    size = np.array([0.02, 0.02, 0.01])[: scenario.model.num_outputs]
+    scenario.initial_error = Waypoint(size.tolist(), (-3 * size).tolist())
+    scenario = through(scenario, disturbance)
+    flights = fly(Batch("", scenario, planned(scenario), range(60)))
+    assert flights.safe, flights
+    assert flights.distinct == 60
+
+
+def test_flights_that_are_the_same_to_the_last_bit_count_once() -> None:
+    """With a known drag and no error, all that is left is the side of each output."""
+    scenario = short(DragDoubleIntegrator(0.1, 0.0))
+    chosen = planned(scenario)
+    plain = dataclasses.replace(scenario, disturbance=WorstCase(bound=[0.3] * 3))
+    same = fly(Batch("", plain, chosen, range(60)))
+    assert same.distinct == same.summary()["distinct"] == 2**3
+    assert "60 trials, 8 distinct" in repr(same)
+    varied = fly(Batch("", through(scenario, "worst_case"), chosen, range(60)))
+    assert varied.distinct == varied.summary()["distinct"] == 60
+    # The worst that is known is among them.
+    np.testing.assert_allclose(
+        varied.worst_ratios.max(axis=0), same.worst_ratios.max(axis=0), atol=1e-3
+    )
+    # As in two batches.
+    halves = [
+        fly(Batch("", plain, chosen, numbers)) for numbers in (range(30), range(30, 60))
+    ]
+    assert Flights.concatenate(halves).distinct == 8
+
+
+def test_a_model_error_that_follows_the_state_uses_more_of_the_layer() -> None:
+    """It is as large as the bound allows wherever it pushes along the disturbance."""
+    scenario = load_scenario("unknown_drag")
+    chosen = planned(scenario)
+    plain = dataclasses.replace(scenario, disturbance=WorstCase(bound=[0.5] * 3))
+    flights = {
+        name: fly(Batch(name, one, chosen, range(60)))
+        for name, one in (
+            ("true_parameters", plain),
+            ("worst_case", through(scenario, "worst_case")),
+            ("gust", through(scenario, "gust")),
+        )
+    }
+    assert all(f.safe for f in flights.values()), flights
+    layer = {name: f.worst_ratios[:, 0] for name, f in flights.items()}
+    for name in ("worst_case", "gust"):
+        assert layer[name].max() > 0.902 > layer["true_parameters"].max()
+        assert np.median(layer[name]) > np.median(layer["true_parameters"]) + 0.02
+
+
+def test_a_gust_pushes_all_axes_together(flown: tuple[Scenario, Plan]) -> None:
+    """One number for all axes, as an ellipsoidal tube would have it."""
+    scenario, chosen = flown
+
+    def used(disturbance: str) -> Any:
+        pushed = through(scenario, disturbance)
+        trials = draw_trials(pushed, range(100))
+        ratios = SimulateTrials(pushed, plan=chosen, trials=trials).tube_ratios
+        return np.median(np.sqrt((ratios[:, :, 1] ** 2).mean(axis=-1)).max(axis=0))
+
+    others = {name: used(name) for name in KINDS if name != "gust"}
+    assert used("gust") > max(others.values()) + 0.05
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["known_environment", "state_dependent_uncertainty"])
+@pytest.mark.parametrize(
+    "name", ["known_environment", "unknown_drag", "state_dependent_uncertainty"]
+)
 def test_no_trial_of_the_shipped_experiments_is_unsafe(name: str) -> None:
     scenario = load_scenario(name)
     chosen = planned(scenario)
@@ -508,13 +688,20 @@ def test_the_figures_show_every_cloud(flown: tuple[Scenario, Plan]) -> None:
         name: fly(Batch(name, through(scenario, name), chosen, range(3)))
         for name in ("worst_case", "uniform")
     }
+    names = [f"1000 × {name.replace('_', ' ')}" for name in KINDS]
     figure = plot_plan(
         scenario=scenario,
         plan=chosen,
-        position={name: f.position for name, f in flights.items()},
+        position={name: flights["worst_case"].position for name in names},
     )
-    labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert {"worst_case", "uniform"} <= set(labels)
+    legend = figure.legends[0]
+    handles = zip(legend.get_texts(), legend.legend_handles, strict=True)
+    colors = {text.get_text(): handle for text, handle in handles}
+    assert set(names) <= set(colors)
+    assert len({colors[name].get_color() for name in names}) == len(KINDS)
+    figure.canvas.draw()
+    box = legend.get_window_extent()
+    assert box.x0 >= 0 and box.x1 <= figure.bbox.x1 and box.y1 <= figure.bbox.y1
     ratios = {name: f.position_ratio for name, f in flights.items()}
     figure = plot_quantiles(time=flights["uniform"].time, ratios=ratios)
     titles = [axes.get_title(loc="left") for axes in figure.axes]

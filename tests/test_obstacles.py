@@ -154,3 +154,13 @@ def test_a_batch_of_positions_is_its_entries_one_by_one(
         for i in np.ndindex(2, 3):
             single = stacked.clearance(positions[i], tubes[i], margin)
             assert whole[i] == pytest.approx(single)
+
+
+def test_an_obstacle_that_is_not_known_is_not_taken_for_another() -> None:
+    class Fence(Cylinder):
+        """Lower than a cylinder; nobody here knows that."""
+
+    with pytest.raises(
+        TypeError, match="Fence is no obstacle; there are Cylinder, Sph"
+    ):
+        ObstacleSet.stack([Cylinder(), Fence()], 3)

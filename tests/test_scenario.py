@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from dtmpc_drake.scenario import (
     Cost,
     Cylinder,
     Ellipsoid,
+    Gust,
     Limits,
     Planner,
     Scenario,
@@ -167,7 +169,13 @@ disturbances = st.one_of(
     st.builds(UniformHold, bound=bounds, hold=positive),
     st.builds(Constant, bound=bounds, fraction=st.floats(-1, 1)),
     st.builds(BangBang, bound=bounds, hold=positive),
-    st.builds(WorstCase, bound=bounds),
+    st.builds(
+        WorstCase,
+        bound=bounds,
+        hold=st.none() | positive,
+        model_error=st.booleans(),
+    ),
+    st.builds(Gust, bound=bounds, hold=positive, model_error=st.booleans()),
     st.builds(
         ColoredWind, bound=bounds, correlation_time=positive, intensity=st.floats(0, 9)
     ),
@@ -323,10 +331,10 @@ BAD = {
     ),
     "field of another class": (
         "disturbance",
-        "!WorstCase {hold: 1}",
-        "disturbance.hold",
+        "!WorstCase {intensity: 1}",
+        "disturbance.intensity",
         "1",
-        "left out; the fields here are bound",
+        "left out; the fields here are bound, hold, model_error",
     ),
     "missing section": ("goal", None, "goal", "None", "missing"),
     "missing duration": ("duration", None, "duration", "None", "missing"),
@@ -354,9 +362,9 @@ BAD = {
     ),
     "unknown disturbance": (
         "disturbance",
-        "!Gust {bound: [1, 1, 1]}",
+        "!Squall {bound: [1, 1, 1]}",
         "disturbance",
-        "'!Gust'",
+        "'!Squall'",
         "!UniformHold",
     ),
     "unknown obstacle": (
@@ -778,6 +786,20 @@ BAD = {
         "0",
         "greater than 0 s",
     ),
+    "no hold of a worst case": (
+        "disturbance",
+        "!WorstCase {hold: 0}",
+        "disturbance.hold",
+        "0",
+        "greater than 0 s",
+    ),
+    "no model error": (
+        "disturbance",
+        "!Gust {model_error: 0.1}",
+        "disturbance.model_error",
+        "0.1",
+        "true/false",
+    ),
     "no correlation": (
         "disturbance",
         "!ColoredWind {correlation_time: 0}",
@@ -932,3 +954,70 @@ def test_constant_uncertainty_needs_a_model_that_knows_a_constant() -> None:
     )
     with pytest.raises(ScenarioError, match=r"^planner\.uncertainty: .* nobody knows"):
         scenario.validate()
+
+
+@dataclasses.dataclass
+class Squall(WorstCase):
+    """A disturbance of a user's own."""
+
+
+@dataclasses.dataclass
+class Fence(Cylinder):
+    """An obstacle of a user's own, which is lower than a cylinder."""
+
+    height: float = 1.0
+
+
+class Wall:
+    """Another one."""
+
+    center, radius, known_from = (5.0, 5.0, 5.0), 1.0, None
+
+    def shape_matrix(self, num_outputs: int) -> np.ndarray:
+        return np.eye(1, num_outputs)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "text"),
+    [
+        (
+            "disturbance",
+            Squall(),
+            "disturbance: got 'Squall'.* one of UniformHold, Con",
+        ),
+        ("disturbance", None, "disturbance: got 'NoneType'.* one of UniformHold"),
+        (
+            "obstacles",
+            [Fence([5, 5])],
+            r"obstacles\[0\]: got 'Fence'.* one of Cylinder",
+        ),
+        (
+            "obstacles",
+            [Wall()],
+            r"obstacles\[0\]: got 'Wall'.* one of Cylinder, Sphere",
+        ),
+        (
+            "model",
+            WorstCase(),
+            "model: got 'WorstCase'.* a Model of dtmpc_drake.models",
+        ),
+    ],
+)
+def test_a_class_that_is_not_known_is_refused_by_name(
+    field: str, value: Any, text: str
+) -> None:
+    """Nothing is taken for the nearest class that is known."""
+    scenario = dataclasses.replace(parse_scenario(LEAST), **{field: value})
+    for judge in (scenario.validate, scenario.to_yaml):
+        with pytest.raises(ScenarioError, match=f"^{text}"):
+            judge()
+
+
+def test_a_model_of_one_s_own_is_flown_but_not_written_as_another() -> None:
+    class Own(DragDoubleIntegrator):
+        pass
+
+    scenario = dataclasses.replace(parse_scenario(LEAST), model=Own())
+    scenario.validate()
+    with pytest.raises(ScenarioError, match=r"^model: got 'Own'.* one of DragDouble"):
+        scenario.to_yaml()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,9 @@ from dtmpc_drake.scenario import (
     Constant,
     Controller,
     Disturbance,
+    Gust,
     Scenario,
+    ScenarioError,
     UniformHold,
     Waypoint,
     WorstCase,
@@ -105,16 +108,29 @@ def test_the_state_output_has_no_feedthrough() -> None:
     assert not make_plant().HasAnyDirectFeedthrough()
 
 
+def test_a_model_error_from_outside_takes_the_place_of_the_true_parameters() -> None:
+    u, d, f = np.array([1.0, 2.0, 3.0]), np.array([0.1, -0.2, 0.3]), np.ones(3)
+    rates = [
+        plant.EvalTimeDerivatives(
+            fixed(plant, control=u, disturbance=d, model_error=f)
+        ).CopyToVector()[3:]
+        for plant in (make_plant(drag=0.3), make_plant(drag=0.0))
+    ]
+    estimate = 0.2  # the model's
+    nominal = -estimate * 5.0 * np.array([0.0, 3.0, 4.0])
+    np.testing.assert_allclose(rates[0], nominal + f + u + d)
+    np.testing.assert_array_equal(rates[1], rates[0])
+
+
+@pytest.mark.parametrize("ports", [2, 3])
 @pytest.mark.parametrize("T", [AutoDiffXd, Expression])
-def test_the_plant_converts_with_its_defaults(T: Any) -> None:
+def test_the_plant_converts_with_its_defaults(T: Any, ports: int) -> None:
     plant = make_plant(drag=0.3)
     other = plant.ToScalarType[T]()
     assert isinstance(other, Plant_[T])
-    zero = np.zeros(3)
-    context = fixed(plant, control=zero, disturbance=zero)
-    converted = fixed(
-        other, control=np.array([T(0.0)] * 3), disturbance=np.array([T(0.0)] * 3)
-    )
+    names = ("control", "disturbance", "model_error")[:ports]
+    context = fixed(plant, **{name: np.zeros(3) for name in names})
+    converted = fixed(other, **{name: np.array([T(0.0)] * 3) for name in names})
     rates = other.EvalTimeDerivatives(converted).CopyToVector()
     value = [r.value() if T is AutoDiffXd else r.Evaluate() for r in rates]
     np.testing.assert_allclose(value, plant.EvalTimeDerivatives(context).CopyToVector())
@@ -230,11 +246,12 @@ def test_a_port_that_holds_no_plan_says_so(scenario: Scenario) -> None:
 # Disturbances.
 
 D = np.array([0.5, 0.2, 0.0])
+CHAIN = IntegratorChain(3, 2)
 
 
 def drawn(config: Disturbance, seed: int, times: Array) -> Array:
     """Samples of a disturbance that needs no inputs, ``(K, m)``."""
-    source = MakeDisturbance(config, slope=np.full(3, 2.0), order=2)
+    source = MakeDisturbance(config, model=CHAIN, slope=np.full(3, 2.0))
     context = source.CreateDefaultContext()
     source.SetRandomContext(context, RandomGenerator(seed))
     simulator = Simulator(source, context)
@@ -295,7 +312,8 @@ def test_a_constant_disturbance_is_its_fraction() -> None:
 
 def test_the_worst_case_pushes_along_the_sliding_variable() -> None:
     slope = np.full(3, 2.0)
-    source = MakeDisturbance(WorstCase(bound=D.tolist()), slope=slope, order=2)
+    worst = WorstCase(bound=D.tolist())
+    source = MakeDisturbance(worst, model=CHAIN, slope=slope)
     error = np.array([[0.1, -0.1, 0.1], [-0.3, 0.1, 0.0]])  # s = -0.1, -0.1, 0.2
     reference = np.arange(9.0)
     context = fixed(source, state=error.ravel() + reference[:6], reference=reference)
@@ -310,6 +328,112 @@ def test_the_worst_case_pushes_along_the_sliding_variable() -> None:
         np.testing.assert_array_equal(np.abs(push), D)
         sides.add(tuple(np.sign(push[:2])))
     assert len(sides) == 4  # the seed decides to which side
+
+
+def test_a_worst_case_may_have_the_model_error_on_its_side() -> None:
+    model = DragDoubleIntegrator(0.1, 0.2)
+    worst = WorstCase(bound=D.tolist(), model_error=True)
+    source = MakeDisturbance(worst, model=model, slope=np.full(3, 2.0))
+    reference = np.arange(9.0)
+    error = np.array([0.1, -0.1, 0.1, -0.3, 0.1, 0.0])  # s = -0.1, -0.1, 0.2
+    state = reference[:6] + error
+    context = fixed(source, state=state, reference=reference)
+    push = source.GetOutputPort("disturbance").Eval(context)
+    np.testing.assert_array_equal(push, [-0.5, -0.2, 0.0])
+    bound = model.model_error_bound(state.reshape(2, 3))
+    model_error = source.GetOutputPort("model_error").Eval(context)
+    np.testing.assert_array_equal(model_error, (bound * [-1, -1, 1]).ravel())
+
+
+def both_drawn(config: Disturbance, seed: int, times: Array) -> tuple[Array, Array]:
+    """Samples of d / D and f̃ / Δ of a plant that rests, ``(K, m)`` each."""
+    model = IntegratorChain(2, 2, 0.25)
+    source = MakeDisturbance(config, model=model, slope=np.full(2, 2.0))
+    context = fixed(source, state=np.zeros(4))
+    source.SetRandomContext(context, RandomGenerator(seed))
+    simulator = Simulator(source, context)
+    simulator.Initialize()
+    samples: list[list[Array]] = []
+    for t in times:
+        simulator.AdvanceTo(t)
+        names = ("disturbance", "model_error")
+        samples.append([source.GetOutputPort(n).Eval(context) for n in names])
+    d, f = np.moveaxis(np.array(samples), 1, 0)
+    return d / config.bound, f / 0.25
+
+
+def test_a_worst_case_with_a_hold_goes_from_end_to_end_at_random_times() -> None:
+    times = np.arange(0.005, 400.0, 0.01)
+    worst = WorstCase(bound=[0.5, 0.2], hold=1.0, model_error=True)
+    d, f = both_drawn(worst, 1, times)
+    for push in (d, f):
+        assert set(np.unique(push)) == {-1.0, 1.0}
+    reversed_ = np.diff(d, axis=0) != 0
+    np.testing.assert_allclose(reversed_.sum(axis=0), 400, rtol=0.2)  # one a second
+    assert (reversed_[:, 0] & reversed_[:, 1]).sum() < 40  # each on its own
+    # The model error changes in the same instants, mostly to the same side.
+    assert (f[0] == d[0]).all()
+    assert not ((np.diff(f, axis=0) != 0) & ~reversed_ & (d == f)[:-1]).any()
+    assert (f == d).mean() == pytest.approx(0.75, abs=0.08)
+    # The seed decides it all, and a side is held long enough for an integrator.
+    again, other = both_drawn(worst, 1, times[:500]), both_drawn(worst, 2, times[:500])
+    np.testing.assert_array_equal(again[0], d[:500])
+    assert (other[0] != d[:500]).any()
+    switches = np.flatnonzero(reversed_[:, 0])
+    assert np.diff(switches).min() >= 4  # 0.04 s
+
+
+def test_without_a_reversal_both_push_to_one_side_for_ever() -> None:
+    worst = WorstCase(bound=[0.5, 0.2], hold=1e6, model_error=True)
+    sides = set()
+    for seed in range(40):
+        d, f = both_drawn(worst, seed, np.arange(0.005, 3.0, 0.1))
+        assert (d == d[0]).all() and (f == d).all()
+        sides.add(tuple(d[0]))
+    assert len(sides) == 4
+
+
+def test_a_gust_has_one_direction_for_long() -> None:
+    gust = Gust(bound=[0.5, 0.2], hold=2.0, model_error=True)
+    d, f = both_drawn(gust, 0, np.arange(0.01, 1000.0, 0.04))
+    np.testing.assert_allclose(f, d, rtol=1e-12)
+    changes = np.flatnonzero((np.diff(d, axis=0) != 0).any(axis=1))
+    assert np.diff(changes).min() == 50  # 2 s
+    assert not (np.diff(changes) % 50).any()  # or more, if the same corner comes again
+    assert 0 < changes[0] < 50  # the first one has begun before
+    np.testing.assert_allclose(np.abs(d).max(axis=1), 1.0, rtol=1e-12)
+    held = d[changes]
+    corner = (np.abs(np.abs(held) - 1.0) < 1e-12).all(axis=1)
+    assert corner.mean() == pytest.approx(0.5, abs=0.1)
+    assert len(np.unique(held[corner].round(), axis=0)) == 4
+    angle = np.arctan2(held[~corner, 1], held[~corner, 0])
+    counts, _ = np.histogram(angle, bins=8, range=(-np.pi, np.pi))
+    assert counts.min() > 15  # of 250
+
+
+def test_a_gust_along_one_output_has_two_sides() -> None:
+    source = MakeDisturbance(
+        Gust(bound=[0.3]), model=IntegratorChain(1, 2), slope=np.ones(1)
+    )
+    sides = set()
+    for seed in range(20):
+        context = source.CreateDefaultContext()
+        source.SetRandomContext(context, RandomGenerator(seed))
+        sides.add(float(source.GetOutputPort("disturbance").Eval(context)[0]))
+    assert sides == {-0.3, 0.3}
+    assert not source.HasOutputPort("model_error")
+
+
+@dataclasses.dataclass
+class Squall(WorstCase):
+    """A disturbance of a user's own."""
+
+
+@pytest.mark.parametrize("config", [Squall(), object()])
+def test_a_disturbance_that_is_not_known_is_refused_by_name(config: Any) -> None:
+    name = type(config).__name__
+    with pytest.raises(ScenarioError, match=f"^disturbance: got '{name}'.* one of Uni"):
+        MakeDisturbance(config, model=CHAIN, slope=np.full(3, 2.0))
 
 
 def test_small_parts_have_their_ports() -> None:

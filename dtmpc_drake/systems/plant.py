@@ -29,6 +29,7 @@ def _plant_of(T: Any) -> Any:
             input_ports:
             - control
             - disturbance
+            - model_error (optional)
             output_ports:
             - state
 
@@ -39,8 +40,10 @@ def _plant_of(T: Any) -> Any:
         front, such as ``(trials, n, m)`` for the state.
 
         The parameters that only the true plant knows (such as its drag) are
-        one numeric parameter vector of the Context; see `SetParameters`.  The
-        plant supports double, AutoDiffXd and Expression.
+        one numeric parameter vector of the Context; see `SetParameters`.  They
+        make F(x), unless `model_error` is connected: then F = F̂(x) + f̃ with that
+        f̃, ``(m,)``, whatever the parameters are.  The plant supports double,
+        AutoDiffXd and Expression.
         """
 
         def _construct(
@@ -58,7 +61,8 @@ def _plant_of(T: Any) -> Any:
                 model: gives F, B and the names of the parameters.
                 parameters: defaults by name, a number or one for each trial;
                     those left out are at the middle of what the model allows.
-                initial_state: default x(t0), ``(n, m)``; zero if left out.
+                initial_state: default x(t0), ``(n, m)``, or one for each trial,
+                    ``(trials, n, m)``; zero if left out.
                 trials: how many plants; one, without the axis, if left out.
                 converter: for scalar conversion, set by Drake.
 
@@ -78,12 +82,12 @@ def _plant_of(T: Any) -> Any:
             self._defaults = middle | self._checked(parameters or {})
             if initial_state is None:
                 initial_state = np.zeros((n, m))
-            self._initial_state = np.asarray(initial_state).reshape(n, m)
+            self._initial_state = np.broadcast_to(initial_state, self._shape)
             count = math.prod(self._lead)
             self._control = self.DeclareVectorInputPort("control", count * m)
             self._disturbance = self.DeclareVectorInputPort("disturbance", count * m)
-            stacked = np.broadcast_to(self._initial_state, self._shape)
-            state = self.DeclareContinuousState(_vector(stacked.ravel()))
+            self._model_error = self.DeclareVectorInputPort("model_error", count * m)
+            state = self.DeclareContinuousState(_vector(self._initial_state.ravel()))
             if self._defaults:
                 self.DeclareNumericParameter(_vector(self._flat(self._defaults)))
             # A state output has no feedthrough, so that loops may close over it.
@@ -121,12 +125,19 @@ def _plant_of(T: Any) -> Any:
             B = self._model.input_matrix(x)
             u = self._control.Eval(context).reshape(*self._lead, -1)
             highest = (
-                self._model.true_drift(x, self._parameters(context))
+                self._drift(context, x)
                 + np.einsum("...ij,...j->...i", B, u)
                 + self._disturbance.Eval(context).reshape(*self._lead, -1)
             )
             rates = np.concatenate([x[..., 1:, :], highest[..., None, :]], axis=-2)
             derivatives.get_mutable_vector().SetFromVector(rates.ravel())
+
+        def _drift(self, context: Any, x: Array) -> Array:
+            """F(x)."""
+            if not self._model_error.HasValue(context):
+                return self._model.true_drift(x, self._parameters(context))
+            error = self._model_error.Eval(context).reshape(*self._lead, -1)
+            return np.asarray(self._model.drift(x) + error)
 
         def _parameters(self, context: Any) -> dict[str, Any]:
             if not self._defaults:

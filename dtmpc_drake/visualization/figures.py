@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -496,11 +497,12 @@ def _legend(
     handles += [cloud.handle() for cloud in clouds]
     if scenario.obstacles:
         handles.append(Patch(fc=GREY, ec=EDGE, label="obstacle"))
+    # As many in a row as the figure is wide; several rows are alike.
+    rows = math.ceil(len(handles) / int(0.7 * figure.get_figwidth()))
     figure.legend(
         handles=handles,
         loc="outside upper center",
-        # As many in a row as the figure is wide.
-        ncols=min(len(handles), int(0.7 * figure.get_figwidth())),
+        ncols=math.ceil(len(handles) / rows),
         frameon=False,
         columnspacing=1.4 if len(handles) > 5 else 2.0,
         handlelength=1.4 if len(handles) > 5 else 2.0,

@@ -21,13 +21,14 @@ PALE_BLUE = "#E4F0F8"
 GREEN = "#009E73"
 ORANGE = "#E69F00"
 PURPLE = "#CC79A7"
+SKY_BLUE = "#56B4E9"
 BLACK = "#1A1A1A"
 GREY = "#9A9A9A"
 EDGE = "#555555"
 LIGHT_GREY = "#D9D9D9"
 
 # Clouds of flights: the last one is drawn on top, in the blue of a single one.
-_CLOUDS = (PURPLE, ORANGE, GREEN, BLUE)
+_CLOUDS = (SKY_BLUE, PURPLE, ORANGE, GREEN, BLUE)
 
 # Both are perceptually uniform: dark blue to yellow, and dark to peach.
 _RANGES = {"bandwidth": ("viridis", 0.12, 1.0), "speed": ("magma", 0.08, 0.86)}
