@@ -29,6 +29,9 @@ from dtmpc_drake.tube import (
 
 _THINNEST = 1e-12
 """Boundary layer that is divided by, in m/s; one so thin is no layer at all."""
+_MOST, _LONGEST = 2**19, 16e-3
+"""About so many intervals are enough, unless they are longer than this, in s: a flight
+of half an hour is not enclosed on millions of them, which takes gigabytes."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -267,6 +270,7 @@ class _Pieces:
             or not np.allclose(plan.knots, uniform[:: steps // pieces], 0, 1e-9 * span)
         ):
             raise ValueError("a plan's knots must be equally spaced, and so its tube")
+        longest = max(longest, min(_LONGEST, span / _MOST))
         parts = 1
         while span / steps / parts > longest:
             parts *= 2
