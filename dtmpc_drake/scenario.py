@@ -695,14 +695,15 @@ class Scenario:
         No plan has a smaller one.
         """
         b = self.controller.bandwidth
-        m, n, half = self.model.num_outputs, self.model.order, 401
+        m, n, alpha = self.model.num_outputs, self.model.order, b.fixed or b.max
         # After ten time constants nothing is left of the start.
-        rates = [*self.controller.slope, b.max]
+        rates = [*self.controller.slope, alpha]
         span = min(self.duration, 10 * n / min(rates))
+        half = 2 * int(np.clip(span * max(rates), 200, 2000)) + 1
         tube = propagate(
             model=IntegratorChain(m, n, 0.0),
             reference=np.zeros((half, n, m)),
-            bandwidth=np.full((half, m), b.fixed or b.max),
+            bandwidth=np.full((half, m), alpha),
             slope=self.slope(),
             disturbance_bound=self.disturbance_bound(),
             reaching_rate=self.controller.reaching_rate,

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from functools import reduce
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
 
 MEMORY = 4 * 2**30
 """Bytes that planning, a flight or a batch of flights may take."""
+TUBE_STEPS = 200_000
+"""Steps of a plan's tube, which is propagated often: seconds each time."""
 EVENTS = 5_000_000
 """Steps, looks or new values in one flight: about an hour of work."""
 REPLANS = 100_000
@@ -69,16 +72,22 @@ def tube_steps(scenario: Scenario) -> tuple[int, int]:
     No step is longer than the time constant of the fastest filter, 1 / (α + nλ).
     """
     interval = scenario.duration / scenario.planner.intervals
-    doublings = math.ceil(math.log2(max(_fastest(scenario) * interval, 2.0)))
+    fastest = sum(_rates(scenario).values())
+    doublings = math.ceil(math.log2(max(fastest * interval, 2.0)))
     least = 16 if scenario.model.error_bound_varies else 8
     linearised = 2 * 2**doublings
     return max(least, linearised), linearised
 
 
-def _fastest(scenario: Scenario) -> float:
+def _rates(scenario: Scenario) -> dict[str, float]:
+    """What the fastest filter's rate is the sum of, the largest first, in 1/s."""
     bandwidth = scenario.controller.bandwidth
-    steepest = max(scenario.controller.slope)
-    return (bandwidth.fixed or bandwidth.max) + scenario.model.order * steepest
+    rates = {"controller.slope": scenario.model.order * max(scenario.controller.slope)}
+    if bandwidth.fixed is None:
+        rates["controller.bandwidth.max"] = bandwidth.max
+    else:
+        rates["controller.bandwidth.fixed"] = bandwidth.fixed
+    return dict(sorted(rates.items(), key=lambda item: -item[1]))
 
 
 def certificate_intervals(scenario: Scenario) -> int:
@@ -106,7 +115,7 @@ def planning(scenario: Scenario) -> list[Part]:
     program = 6 * m**2 * (N + n + 1) ** 2 + 8 * (2 * n + 3) * N * m**3
     planes = 10 * N * o * max(n + 2, 4) * (m * (3 * n + 5) + r)
     # Two steps an interval are the least.
-    fast = (*_fastest_fields(scenario), "duration") if linearised > 4 else ()
+    fast = (*_rates(scenario), "duration") if linearised > 4 else ()
     parts = [
         Part(tube, (*fast, *SIZES)),
         Part(program, SIZES),
@@ -123,21 +132,13 @@ def certificate(scenario: Scenario) -> list[Part]:
     n, m = scenario.model.order, scenario.model.num_outputs
     M = scenario.planner.intervals * tube_steps(scenario)[0]
     K = certificate_intervals(scenario)
-    fast = _fastest_fields(scenario)
+    fast = tuple(_rates(scenario))
     fields = (*fast, "duration", *SIZES) if K == M else ("duration", *fast, *SIZES)
     obstacles = 30 * M * len(scenario.obstacles) * _rows(scenario)
     return [
         Part(K * m * (30 + 25 * n + 2 * m), fields),
         Part(obstacles, ("obstacles", *fields)),
     ]
-
-
-def _fastest_fields(scenario: Scenario) -> tuple[str, str]:
-    """What makes the fastest filter so fast."""
-    bandwidth = scenario.controller.bandwidth
-    fields = "controller.slope", "controller.bandwidth.max"
-    steepest = scenario.model.order * max(scenario.controller.slope)
-    return fields if steepest >= (bandwidth.fixed or bandwidth.max) else fields[::-1]
 
 
 def _search(scenario: Scenario, steps: int) -> list[Part]:
@@ -185,14 +186,11 @@ def _rows(scenario: Scenario) -> int:
 
 
 def require_affordable(scenario: Scenario) -> None:
-    """Refuses a scenario that asks for more than `MEMORY`, `EVENTS` or `REPLANS`.
+    """Refuses what takes more than `MEMORY`, `TUBE_STEPS`, `EVENTS` or `REPLANS`.
 
     Raises:
         ScenarioError: naming the fields that make it so.
     """
-    _require_memory(scenario, "planning", planning(scenario))
-    _require_memory(scenario, "the certificate", certificate(scenario))
-    _require_memory(scenario, "a flight's log", flight(scenario))
     duration, most = scenario.duration, EVENTS * LOG_PERIOD
     why = f"at most {most:g} s: a flight is logged every {LOG_PERIOD:g} s"
     require("duration", duration, duration <= most, why)
@@ -206,22 +204,36 @@ def require_affordable(scenario: Scenario) -> None:
             least = duration / count
             why = f"there may be {count:g} of them in {duration:g} s, the duration"
             require(field, period, period >= least, f"at least {least:.3g} s: {why}")
+    steps = scenario.planner.intervals * tube_steps(scenario)[0]
+    if steps > TUBE_STEPS:
+        fields = (*_rates(scenario), "duration", SIZES[0])
+        raise _too_much(
+            scenario,
+            fields,
+            f"the tube has at most {TUBE_STEPS} steps: it would have {steps}",
+        )
+    for what, parts in (
+        ("planning", planning(scenario)),
+        ("the certificate", certificate(scenario)),
+        ("a flight's log", flight(scenario)),
+    ):
+        needed = 8 * sum(part.numbers for part in parts)
+        if needed > MEMORY:
+            largest = max(parts, key=lambda part: part.numbers)
+            raise _too_much(
+                scenario,
+                largest.fields,
+                f"{what} takes at most {MEMORY / 2**30:g} GiB of memory: it would"
+                f" take {needed / 2**30:.3g} GiB",
+            )
 
 
-def _require_memory(scenario: Scenario, what: str, parts: list[Part]) -> None:
-    needed = 8 * sum(part.numbers for part in parts)
-    if needed <= MEMORY:
-        return
-    first, *others = max(parts, key=lambda part: part.numbers).fields
+def _too_much(scenario: Scenario, fields: Sequence[str], why: str) -> ScenarioError:
+    first, *others = fields
     value: Any = reduce(getattr, first.split("."), scenario)
     if first == "obstacles":
         value = f"{len(value)} of them"
-    raise ScenarioError(
-        first,
-        value,
-        f"such that with {', '.join(others)} {what} takes at most"
-        f" {MEMORY / 2**30:g} GiB of memory: it would take {needed / 2**30:.3g} GiB",
-    )
+    return ScenarioError(first, value, f"such that with {', '.join(others)} {why}")
 
 
 def require_trials(scenario: Scenario, count: int, batch_size: int) -> None:
