@@ -428,6 +428,15 @@ def test_chains_of_high_order_are_planned(order: int) -> None:
         assert jump < 1e-6 * np.abs(starts).max()
 
 
+def test_a_model_error_that_runs_away_ends_a_plan_and_not_the_process() -> None:
+    """On coarse grids its linearisation grows beyond all numbers."""
+    scenario = load_scenario("unknown_drag")
+    scenario.model = DragDoubleIntegrator(0.1, 1261.0)
+    with np.errstate(all="ignore"):
+        result = plan(scenario)
+    assert result.status == "failed"
+
+
 def test_many_outputs_are_counted_too() -> None:
     m = 800
     scenario = Scenario(

@@ -133,7 +133,7 @@ MUTATIONS: tuple[Callable[[Random, str], str], ...] = (
     in_tokens(lambda g, token: choice(g, HOSTILE)),
     in_tokens(lambda g, token: f"{choice(g, HOSTILE)} {token}"),
     in_tokens(lambda g, token: choice(g, tokens(OTHERS[0] + OTHERS[1]))),
-    *[scale_a_number] * 4,
+    *[scale_a_number] * 8,
     in_lines(lambda lines, i, j: lines.pop(i) and None),
     in_lines(lambda lines, i, j: lines.insert(i, lines[j])),
     in_lines(swap),
@@ -143,11 +143,11 @@ MUTATIONS: tuple[Callable[[Random, str], str], ...] = (
 
 
 def spoilt(index: int) -> str:
-    """A shipped scenario after one to four mutations; the same for the same index."""
+    """A shipped scenario after one to three mutations; the same for the same index."""
     g = np.random.default_rng([2024, index])
     shipped = [(SHIPPED / f"{n}.yaml").read_text() for n in shipped_scenarios()]
     text = choice(g, [*shipped, *OTHERS * 3])
-    for _ in range(int(g.integers(1, 5))):
+    for _ in range(int(g.integers(1, 4))):
         text = MUTATIONS[int(g.integers(len(MUTATIONS)))](g, text)
     return text
 

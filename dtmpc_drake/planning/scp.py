@@ -241,6 +241,13 @@ class Program:
         self._hard_margin = margins(iterate, iterate.planes)
         rows.add(np.ones((1, 1)), np.array([[self.variables.size - 1]]), 0.0, np.inf)
         self._matrix, self._low, high = rows.assemble()
+        # Drake ends the process at a number that is none.
+        bounds = np.append(self._low, high)
+        self._finite = bool(
+            np.isfinite(self._matrix.data).all() and not np.isnan(bounds).any()
+        )
+        if not self._finite:
+            return
         self._constraint.evaluator().UpdateCoefficients(
             sp.csc_matrix(self._matrix), self._low, high
         )
@@ -553,6 +560,8 @@ class Program:
 
     def solve(self) -> tuple[Array | None, str]:
         """The step z, or None, and the solver's status."""
+        if not self._finite:
+            return None, "numbers that are too large"
         status = ""
         # Fast options first; Clarabel's own where they are not good enough.
         for options in (self._options, None):
