@@ -453,22 +453,19 @@ class Scenario:
         Raises:
             ScenarioError: at the first thing that is wrong.
         """
-        self._plain()
+        self._check_types()
         require_magnitudes(self)
         self._check_sizes()
         self._check_ranges()
         require_affordable(self)
         self._check_together()
 
-    def _plain(self) -> "Scenario":
-        """The same of plain numbers and lists, with every type checked."""
-        own = isinstance(self.model, Model)
-        own = own and not isinstance(self.model, typing.get_args(ModelConfig))
+    def _check_types(self) -> None:
         # Of a model of one's own nobody knows the fields.
-        known = dataclasses.replace(self, model=DragDoubleIntegrator()) if own else self
-        plain: Scenario = typed(Scenario, known, "")
-        plain.model = self.model if own else plain.model
-        return plain
+        own = isinstance(self.model, Model)
+        own = own and type(self.model) not in typing.get_args(ModelConfig)
+        known = DragDoubleIntegrator() if own else self.model
+        typed(Scenario, dataclasses.replace(self, model=known), "")
 
     def _check_sizes(self) -> None:
         for name in ("num_outputs", "order"):
@@ -715,8 +712,13 @@ class Scenario:
         return np.asarray(tube.error_bound[-1, 0])
 
     def to_yaml(self) -> str:
-        """The scenario as a file that `load_scenario` reads."""
-        return str(yaml_dump_typed(self._plain(), schema=Scenario))
+        """The scenario as a file that `load_scenario` reads.
+
+        Raises:
+            ScenarioError: if something is of a type that no file can name, such as
+                a model of your own: it would be written as a similar one.
+        """
+        return str(yaml_dump_typed(typed(Scenario, self, ""), schema=Scenario))
 
     def __repr__(self) -> str:
         """Names what a reader wants to know first."""

@@ -244,7 +244,7 @@ def require_trials(scenario: Scenario, count: int, batch_size: int) -> None:
     m, length = scenario.model.num_outputs, scenario.duration
     batch = min(count, batch_size)
     # A batch draws all its noise before, and logs everything.
-    draws = length / getattr(scenario.disturbance, "hold", length) * m
+    draws = length / (getattr(scenario.disturbance, "hold", None) or length) * m
     one = 8 * (length / LOG_PERIOD * 3 * _logged(scenario) + draws)
     kept = 8 * 3 * KINDS * length / REPORT_PERIOD * (m + 1)
     steps = length / scenario.simulation.max_step_size

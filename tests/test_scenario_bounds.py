@@ -556,10 +556,18 @@ def test_periods_are_those_of_logs_and_reports() -> None:
 # Built in Python.
 
 
-class Gust:
+class Squall:
     """No disturbance of ours."""
 
     bound = (0.5, 0.5, 0.5)
+
+
+class Gentle(UniformHold):
+    """Nor this."""
+
+
+class Wall(Sphere):
+    """And no obstacle of ours."""
 
 
 @pytest.mark.parametrize(
@@ -585,7 +593,9 @@ class Gust:
         ({"model": IntegratorChain(order=2.0)}, "model.order"),
         ({"model": IntegratorChain(num_outputs="3")}, "model.num_outputs"),
         ({"model": IntegratorChain(num_outputs=10**400)}, "model.num_outputs"),
-        ({"disturbance": Gust()}, "disturbance"),
+        ({"disturbance": Squall()}, "disturbance"),
+        ({"disturbance": Gentle()}, "disturbance"),
+        ({"obstacles": [Wall([5.0, 5.0, 5.0])]}, "obstacles[0]"),
         ({"disturbance": UniformHold(bound=0.5)}, "disturbance.bound"),
         ({"disturbance": UniformHold(bound=[0.5, None, 0.5])}, "disturbance.bound[1]"),
         ({"disturbance": UniformHold(bound=[0.5, "x", 0.5])}, "disturbance.bound[1]"),
@@ -673,6 +683,8 @@ def test_a_model_of_ones_own_is_checked_where_all_models_are_alike() -> None:
 
     scenario = dataclasses.replace(parse_scenario(LEAST), model=Own())
     scenario.validate()
+    with pytest.raises(ScenarioError, match=r"^model: .* one of !Drag"):
+        scenario.to_yaml()
     scenario.model = Sluggish()
     with pytest.raises(ScenarioError, match=r"^model\.order: got None"):
         scenario.validate()
