@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import zipfile
-from collections.abc import Sequence
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from math import comb, factorial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -16,6 +18,18 @@ FloatArray = npt.NDArray[np.float64]
 
 _SAMPLE_PERIOD = 0.005  # of a saved plan, in s
 _JUMP = 1e-6  # in which joined plans change their tubes, in s
+DAMAGE: tuple[type[Exception], ...] = (
+    ValueError,  # a pickle, too
+    OSError,
+    EOFError,
+    KeyError,
+    MemoryError,
+    NotImplementedError,
+    RuntimeError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+"""What reading a damaged archive raises."""
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -24,9 +38,11 @@ class Plan:
 
     The reference is a piecewise polynomial of degree n + 1 whose n-th
     derivative is continuous; the bandwidth α is piecewise linear between the
-    same knots.  The tube that follows from both is kept as cubic Hermite
-    pieces on a finer grid: Φ* is C¹, and `boundary_layer_rate` is its exact
-    derivative, which is all that the invariance of the layer needs.
+    same knots.  The tube that follows from both is kept on a finer grid.  Φ* is a
+    polynomial on each of its steps, and `boundary_layer_rate` is the exact
+    derivative, which is all that the invariance of the layer needs; the bandwidth
+    that it implies is α (see `dtmpc_drake.layer`).  The bounds of the errors are
+    cubic Hermite pieces.
 
     Outside ``[start_time, end_time]`` a plan holds its first or last value.
 
@@ -36,7 +52,8 @@ class Plan:
             ``(N, n + 2, m)``.
         bandwidth_knots: α, ``(N + 1, m)``, in rad/s.
         tube_times: the finer grid, ``(M + 1,)``, in s.
-        layer_samples: Φ and dΦ/dt, ``(M + 1, 2, m)``.
+        layer_coefficients: of Φ* in powers of the time since a step of that grid
+            began, ``(M, any number, m)``.
         bound_samples: bounds of ``|ỹ^(k)|``, ``(M + 1, n, m)``.
         bound_rate_samples: their time derivatives, same shape.
     """
@@ -45,16 +62,16 @@ class Plan:
     coefficients: FloatArray
     bandwidth_knots: FloatArray
     tube_times: FloatArray
-    layer_samples: FloatArray
+    layer_coefficients: FloatArray
     bound_samples: FloatArray
     bound_rate_samples: FloatArray
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
-        """Makes what is shared read-only."""
+        """Makes what is shared read-only, and the same bits in and out of a file."""
         for field in dataclasses.fields(self):
-            view = np.asarray(getattr(self, field.name)).view()
+            view = np.ascontiguousarray(getattr(self, field.name)).view()
             view.flags.writeable = False
             object.__setattr__(self, field.name, view)
 
@@ -82,6 +99,18 @@ class Plan:
         """m, the number of outputs."""
         return int(self.coefficients.shape[2])
 
+    @property
+    def is_uniform(self) -> bool:
+        """Whether all knots are equally spaced, and the tube's grid within them."""
+        pieces, steps = len(self.knots) - 1, len(self.tube_times) - 1
+        span = self.end_time - self.start_time
+        even = self.start_time + span * np.arange(steps + 1) / steps
+        if steps % pieces:
+            return False
+        off = np.abs(self.tube_times - even).max()
+        off = max(off, np.abs(self.knots - even[:: steps // pieces]).max())
+        return bool(off <= 1e-9 * span)
+
     def reference(self, time: FloatArray | float) -> FloatArray:
         """y* and its derivatives up to the n-th.
 
@@ -108,18 +137,22 @@ class Plan:
 
     def boundary_layer(self, time: FloatArray | float) -> FloatArray:
         """Φ*, shape ``(..., m)``."""
-        samples = self.layer_samples
-        return _hermite(self.tube_times, samples[:, 0], samples[:, 1], time)[0]
+        return self.layer(time)[0]
 
     def boundary_layer_rate(self, time: FloatArray | float) -> FloatArray:
         """dΦ*/dt, the exact derivative of `boundary_layer`, ``(..., m)``."""
-        samples = self.layer_samples
-        return _hermite(self.tube_times, samples[:, 0], samples[:, 1], time)[1]
+        return self.layer(time)[1]
 
     def layer(self, time: FloatArray | float) -> tuple[FloatArray, FloatArray]:
         """Φ* and dΦ*/dt in one look-up."""
-        samples = self.layer_samples
-        return _hermite(self.tube_times, samples[:, 0], samples[:, 1], time)
+        t, step = _locate(self.tube_times, time)
+        order = np.arange(self.layer_coefficients.shape[1])
+        powers = t[..., None] ** order
+        slopes = np.zeros_like(powers)
+        slopes[..., 1:] = order[1:] * powers[..., :-1]
+        pieces = self.layer_coefficients[step]
+        value = (powers[..., None, :] @ pieces)[..., 0, :]
+        return np.asarray(value), np.asarray((slopes[..., None, :] @ pieces)[..., 0, :])
 
     def error_bound(self, time: FloatArray | float) -> FloatArray:
         """Bounds of ``|ỹ^(k)|``, k < n, shape ``(..., n, m)``."""
@@ -142,7 +175,9 @@ class Plan:
         shift = start - self.knots[piece[0]]
         coefficients = self.coefficients[piece].copy()
         coefficients[0] = _shifted(coefficients[0], shift)
-        grid, _ = _cut(self.tube_times, start, end)
+        grid, step = _cut(self.tube_times, start, end)
+        layer = self.layer_coefficients[step].copy()
+        layer[0] = _shifted(layer[0], start - self.tube_times[step[0]])
         bounds = _hermite(
             self.tube_times, self.bound_samples, self.bound_rate_samples, grid
         )
@@ -151,7 +186,7 @@ class Plan:
             coefficients=coefficients,
             bandwidth_knots=self.bandwidth(knots),
             tube_times=grid,
-            layer_samples=np.stack(self.layer(grid), axis=1),
+            layer_coefficients=layer,
             bound_samples=bounds[0],
             bound_rate_samples=bounds[1],
         )
@@ -204,17 +239,88 @@ class Plan:
 
         Raises:
             FileNotFoundError: if there is no such file.
-            ValueError: if the file is not a saved plan.
+            ValueError: if the file is not a saved plan, or anything in it is wrong;
+                it names the file and the field.
         """
         with open(path, "rb") as file:
             if not zipfile.is_zipfile(file):
                 raise ValueError(f"{path}: not a saved plan (not an .npz file)")
-        with np.load(path) as data:
-            names = [field.name for field in dataclasses.fields(cls)]
-            missing = [n for n in names if f"plan_{n}" not in data]
-            if missing:
-                raise ValueError(f"{path}: not a saved plan (no {missing[0]!r})")
-            return cls(**{n: data[f"plan_{n}"] for n in names})
+        arrays: dict[str, Any] = {}
+        reading = "the archive"
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                for field in dataclasses.fields(cls):
+                    reading = field.name
+                    arrays[field.name] = data[f"plan_{field.name}"]
+        except DAMAGE as error:
+            why = " ".join(str(error).split())
+            raise ValueError(f"{path}: not a saved plan ({reading}: {why})") from None
+        return cls.from_arrays(arrays, where=str(path))
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, Any], *, where: str) -> Plan:
+        """A plan from its fields by name, all of them checked.
+
+        Raises:
+            ValueError: if anything is wrong with one; it starts with `where`, and
+                names the field.
+        """
+        plan = cls(**arrays)
+        for fault in plan.faults():  # the first
+            raise ValueError(f"{where}: not a saved plan ({fault})")
+        return plan
+
+    def faults(self) -> Iterator[str]:
+        """What makes this no plan at all, one line each that begins with a field.
+
+        Every array is a finite one of real numbers that has its shape, times
+        increase, bandwidths and, at the samples, the layer are positive.  Whether
+        the functions are continuous is a matter of its certificate.
+        """
+        shapes = self._shapes()
+        if isinstance(shapes, str):
+            yield shapes
+            return
+        sound = True
+        for name, (shape, times) in shapes.items():
+            fault = _fault(getattr(self, name), shape, times)
+            if fault:
+                sound = False
+                yield f"{name}: {fault}"
+        if not sound:
+            return
+        apart = np.abs(self.knots[[0, -1]] - self.tube_times[[0, -1]]).max()
+        if apart > 1e-9 * (self.end_time - self.start_time):
+            yield "tube_times: must begin and end where the knots do"
+        if not (self.bandwidth_knots > 0).all():
+            yield f"bandwidth_knots: {self.bandwidth_knots.min():g} is not positive"
+        if not (self.layer_coefficients[:, 0] > 0).all():
+            least = self.layer_coefficients[:, 0].min()
+            yield f"layer_coefficients: the layer is {least:g}, which is not positive"
+
+    def _shapes(self) -> dict[str, tuple[tuple[int, ...], FloatArray]] | str:
+        """The shape that every field must have and its times, or why there is none."""
+        dimensions = {"knots": 1, "tube_times": 1, "coefficients": 3}
+        dimensions["layer_coefficients"] = 3
+        for name, count in dimensions.items():
+            array = getattr(self, name)
+            if array.ndim != count or array.size == 0:
+                return f"{name}: has shape {array.shape}, not {count} axes"
+        n, m = self.order, self.num_outputs
+        N, M = len(self.knots) - 1, len(self.tube_times) - 1
+        if n < 1 or N < 1 or M < 1:
+            shape = self.coefficients.shape
+            return f"coefficients: {shape} with {N} pieces is of no order"
+        powers = self.layer_coefficients.shape[1]
+        return {
+            "knots": ((N + 1,), self.knots),
+            "tube_times": ((M + 1,), self.tube_times),
+            "coefficients": ((N, n + 2, m), self.knots),
+            "bandwidth_knots": ((N + 1, m), self.knots),
+            "layer_coefficients": ((M, powers, m), self.tube_times),
+            "bound_samples": ((M + 1, n, m), self.tube_times),
+            "bound_rate_samples": ((M + 1, n, m), self.tube_times),
+        }
 
     def __repr__(self) -> str:
         """Names what a reader wants to know first."""
@@ -225,6 +331,22 @@ class Plan:
             f"{self.num_outputs} outputs, bandwidth {a.min():.2f} to {a.max():.2f} "
             f"rad/s, position tube at most {w.max():.3f})"
         )
+
+
+def _fault(array: FloatArray, shape: tuple[int, ...], times: FloatArray) -> str:
+    """What is wrong with one array of a plan; nothing if that is empty."""
+    if array.dtype.kind != "f":
+        return f"must hold real numbers, not {array.dtype}"
+    if array.shape != shape:
+        return f"has shape {array.shape} where {shape} is needed"
+    finite = np.isfinite(array.reshape(len(array), -1)).all(axis=1)
+    if not finite.all():
+        row = int(finite.argmin())
+        what = "not a number" if np.isnan(array[row]).any() else "infinite"
+        return what if array is times else f"{what} at t = {times[row]:.4g} s"
+    if array is times and not (np.diff(array) > 0).all():
+        return "must increase"
+    return ""
 
 
 def join(plans: Sequence[Plan], times: Sequence[float]) -> Plan:
@@ -250,13 +372,18 @@ def join(plans: Sequence[Plan], times: Sequence[float]) -> Plan:
         rows = [getattr(part, name) for part in parts]
         return np.concatenate([*(r[: len(r) - drop] for r in rows[:-1]), rows[-1]])
 
+    # The polynomials reach on to the hand-over, of the reference and of the layer.
+    layers = [parts[0].layer_coefficients]
+    for before, after in pairwise(parts):
+        length = before.tube_times[-1] - before.tube_times[-2]
+        layers.append(_shifted(before.layer_coefficients[-1], length)[None])
+        layers.append(after.layer_coefficients)
     return Plan(
-        # The polynomials reach on to the hand-over.
         knots=stacked("knots", drop=1),
         coefficients=stacked("coefficients"),
         bandwidth_knots=stacked("bandwidth_knots", drop=1),
         tube_times=stacked("tube_times"),
-        layer_samples=stacked("layer_samples"),
+        layer_coefficients=np.concatenate(layers),
         bound_samples=stacked("bound_samples"),
         bound_rate_samples=stacked("bound_rate_samples"),
     )

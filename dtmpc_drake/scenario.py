@@ -207,6 +207,9 @@ class Planner:
         time_budget: for ``best_side``, in s.  It buys candidates at fixed prices
             (see `planning.best_side`), so a plan never depends on the clock.  Every
             plan on the way has it, too: `compute_delay` should not be shorter.
+        time_limit: in s by the clock on the wall, for each plan and for each time
+            that is planned on the way.  What is best until then is judged as it is.
+            Only a plan that takes longer depends on the clock.
         replan_period: between two plans, in s; if left out, there is a new plan
             only where a new obstacle is known.
         compute_delay: from a measurement until the plan that is made from it
@@ -224,6 +227,7 @@ class Planner:
     max_iterations: int = 40
     initial_guess: str = "straight_line"
     time_budget: float = 2.0
+    time_limit: float = 30.0
     replan_period: float | None = None
     compute_delay: float = 0.2
 
@@ -524,6 +528,7 @@ class Scenario:
             "controller.bandwidth.rate_max": (b.rate_max, "rad/s²"),
             "simulation.max_step_size": (self.simulation.max_step_size, "s"),
             "planner.time_budget": (self.planner.time_budget, "s"),
+            "planner.time_limit": (self.planner.time_limit, "s"),
             "sensing.period": (self.sensing.period, "s"),
         }
         if self.sensing.range is not None:

@@ -15,6 +15,8 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from dtmpc_drake.filters import half_grid, integrate_filter
+from dtmpc_drake.layer import integrate_layer
 from dtmpc_drake.models import Array, Model
 from dtmpc_drake.sliding import surface_coefficients
 
@@ -41,62 +43,6 @@ class Tube:
     stages: Array
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
-
-
-def linear_recurrence(gain: Array, offset: Array, initial: Array) -> Array:
-    """Solves x[i + 1] = gain[i] x[i] + offset[i] by an associative scan.
-
-    Args:
-        gain: shape ``(M, ...)``, in [0, 1] so that nothing overflows.
-        offset: shape ``(M, ...)``.
-        initial: x[0], shape ``(...)``.
-
-    Returns:
-        Shape ``(M + 1, ...)``.
-    """
-    g, x = gain.copy(), offset.copy()
-    x[0] += g[0] * initial
-    g[0] = 0.0
-    shift = 1
-    while shift < len(g):
-        x[shift:] += g[shift:] * x[:-shift].copy()
-        g[shift:] *= g[:-shift].copy()
-        shift *= 2
-    return np.concatenate([np.asarray(initial, dtype=float)[None], x])
-
-
-def integrate_filter(
-    rate: Array, forcing: Array, initial: Array, step: float
-) -> tuple[Array, Array]:
-    """Integrates dx/dt = -rate(t) x + forcing(t), fourth order in the step.
-
-    Args:
-        rate: on the half grid, ``(2 M + 1, ...)``, in 1/s.
-        forcing: on the half grid, same shape.
-        initial: x at the first node, shape ``(...)``.
-        step: between two nodes, in s.
-
-    Returns:
-        x and dx/dt at the nodes, both ``(M + 1, ...)``.
-    """
-    start, middle, end = rate[:-2:2], rate[1::2], rate[2::2]
-    to_end = np.exp(-step / 6 * (start + 4 * middle + end))
-    from_middle = np.exp(-step / 24 * (8 * middle + 5 * end - start))
-    increment = (
-        step
-        / 6
-        * (to_end * forcing[:-2:2] + 4 * from_middle * forcing[1::2] + forcing[2::2])
-    )
-    x = linear_recurrence(to_end, increment, initial)
-    return x, forcing[::2] - rate[::2] * x
-
-
-def half_grid(value: Array, rate: Array, step: float) -> Array:
-    """Node values and rates to the half grid, by cubic Hermite midpoints."""
-    result = np.empty((2 * len(value) - 1, *value.shape[1:]))
-    result[::2] = value
-    result[1::2] = (value[:-1] + value[1:]) / 2 + step / 8 * (rate[:-1] - rate[1:])
-    return result
 
 
 def cascade_bound(stages: Array, slope: Array, derivative: int) -> Array:
@@ -391,7 +337,7 @@ def propagate(
         The tube at the nodes.
     """
     forcing = model.model_error_bound(reference) + disturbance_bound + reaching_rate
-    layer, layer_rate = integrate_filter(
+    layer, layer_rate = integrate_layer(
         bandwidth, forcing, initial_boundary_layer, step
     )
     return propagate_error_bounds(

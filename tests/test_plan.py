@@ -70,15 +70,11 @@ def test_the_boundary_layer_rate_is_its_exact_derivative(
     plan = a_plan(model, seed)
     middle, room = times_inside_pieces(plan.tube_times, seed)
     left, right = middle - room, middle + room
-    # Simpson's rule is exact for the derivative of a cubic.
-    integral = (
-        (right - left)[:, None]
-        / 6
-        * (
-            plan.boundary_layer_rate(left)
-            + 4 * plan.boundary_layer_rate(middle)
-            + plan.boundary_layer_rate(right)
-        )
+    # Gauss's rule of four points is exact for the derivative of degree six.
+    points, weights = np.polynomial.legendre.leggauss(4)
+    integral = sum(
+        weight * room[:, None] * plan.boundary_layer_rate(middle + point * room)
+        for point, weight in zip(points, weights, strict=True)
     )
     moved = plan.boundary_layer(right) - plan.boundary_layer(left)
     assert moved == pytest.approx(integral, abs=1e-13)
@@ -111,8 +107,9 @@ def test_tube_and_bandwidth_meet_their_samples(model: Model) -> None:
     t = plan.tube_times
     assert plan.error_bound(t) == pytest.approx(plan.bound_samples)
     assert plan.position_tube(t) == pytest.approx(plan.bound_samples[:, 0])
-    assert plan.boundary_layer(t) == pytest.approx(plan.layer_samples[:, 0])
-    assert plan.boundary_layer_rate(t) == pytest.approx(plan.layer_samples[:, 1])
+    assert plan.boundary_layer(t[:-1]) == pytest.approx(plan.layer_coefficients[:, 0])
+    rate = plan.boundary_layer_rate(t[:-1])
+    assert rate == pytest.approx(plan.layer_coefficients[:, 1])
 
 
 @each_order
@@ -121,7 +118,7 @@ def test_between_its_samples_the_tube_is_that_of_a_finer_grid(model: Model) -> N
     coarse = dataclasses.replace(
         plan,
         tube_times=plan.tube_times[::2],
-        layer_samples=plan.layer_samples[::2],
+        layer_coefficients=plan.layer_coefficients[::2],
         bound_samples=plan.bound_samples[::2],
         bound_rate_samples=plan.bound_rate_samples[::2],
     )
@@ -214,7 +211,7 @@ def test_sample_times_are_never_further_apart_than_asked(
         coefficients=np.zeros((1, 3, 1)),
         bandwidth_knots=zeros,
         tube_times=knots,
-        layer_samples=np.zeros((2, 2, 1)),
+        layer_coefficients=np.zeros((1, 8, 1)),
         bound_samples=np.zeros((2, 1, 1)),
         bound_rate_samples=np.zeros((2, 1, 1)),
     )
@@ -283,6 +280,80 @@ def test_a_file_that_is_no_plan_says_so(write, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"wrong\.npz: not a saved plan") as error:
         Plan.load(file)
     assert "\n" not in str(error.value)
+
+
+DAMAGE = {
+    "a layer that is not a number": ("layer_coefficients", {3: np.nan}, "not a number"),
+    "an infinite tube": ("bound_samples", {2: np.inf}, "infinite"),
+    "times that do not increase": ("knots", {4: 1.6}, "must increase"),
+    "a layer of nothing": ("layer_coefficients", {...: 0.0}, "not positive"),
+    "a negative bandwidth": ("bandwidth_knots", {0: -1.0}, "not positive"),
+    "a tube of another time": ("tube_times", {0: 1.4}, "begin and end"),
+}
+
+
+def saved_with(path: Path, **changes: object) -> None:
+    """A plan's file with some of its arrays replaced."""
+    a_plan(one_model_of_each_order()[1]).save(path)
+    with np.load(path) as data:
+        arrays = {name: data[name] for name in data.files}
+    with open(path, "wb") as file:
+        np.savez(file, **(arrays | {f"plan_{n}": a for n, a in changes.items()}))
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_damaged_plan_is_refused_by_the_name_of_its_array(
+    damage: str, tmp_path: Path
+) -> None:
+    field, changes, words = DAMAGE[damage]
+    array = getattr(a_plan(one_model_of_each_order()[1]), field).copy()
+    for row, value in changes.items():
+        array[row] = value
+    file = tmp_path / "damaged.npz"
+    saved_with(file, **{field: array})
+    with pytest.raises(ValueError, match=rf"damaged\.npz: .*{field}: .*{words}"):
+        Plan.load(file)
+
+
+@pytest.mark.parametrize("field", [field.name for field in dataclasses.fields(Plan)])
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.array([{}], dtype=object),
+        np.zeros(3, dtype=complex),
+        np.array(["a"]),
+        np.zeros((0, 2)),
+        np.zeros(()),
+        np.zeros((2, 2, 2, 2)),
+        np.arange(5),
+    ],
+    ids=["pickle", "complex", "text", "empty", "scalar", "axes", "whole"],
+)
+def test_no_other_array_is_taken_for_a_plans(
+    field: str, array: np.ndarray, tmp_path: Path
+) -> None:
+    file = tmp_path / "damaged.npz"
+    saved_with(file, **{field: array})
+    with pytest.raises(ValueError, match=r"damaged\.npz: not a saved plan") as error:
+        Plan.load(file)
+    assert "\n" not in str(error.value)
+
+
+@given(seed=seeds)
+def test_damaged_bytes_are_a_value_error_or_a_plan(seed: int, tmp_path_factory) -> None:
+    file = tmp_path_factory.mktemp("bytes") / "damaged.npz"
+    a_plan(one_model_of_each_order()[1]).save(file)
+    data = bytearray(file.read_bytes())
+    g = np.random.default_rng(seed)
+    for place in g.integers(0, len(data), g.integers(1, 20)):
+        data[place] = g.integers(0, 256)
+    file.write_bytes(data[: g.integers(len(data) // 2, len(data) + 1)])
+    try:
+        plan = Plan.load(file)
+    except ValueError as error:
+        assert str(error).startswith(f"{file}: not a saved plan")
+    else:
+        assert not list(plan.faults())
 
 
 def test_a_missing_file_is_a_missing_file(tmp_path: Path) -> None:

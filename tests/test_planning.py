@@ -233,6 +233,7 @@ def test_a_constant_bound_is_kept_above_the_true_one(backend):
     scenario.planner.uncertainty = "constant"
     scenario.planner.intervals = 12
     scenario.planner.backend = backend
+    scenario.planner.time_limit = 600.0
     result = plan(scenario)
     assert result.certified, result
     margin = result.certificate.margins["model_error"].value
@@ -280,6 +281,7 @@ def test_both_backends_agree(intervals):
     scenario.planner.intervals = intervals
     clarabel = plan(scenario)
     scenario.planner.backend = "ipopt"
+    scenario.planner.time_limit = 600.0  # on a busy machine, too
     ipopt = plan(scenario)
     assert clarabel.certified and ipopt.certified
     assert clarabel.cost == pytest.approx(ipopt.cost, rel=0.02)
@@ -291,7 +293,7 @@ def test_both_backends_agree_on_a_stop_anywhere():
     start[1, 0], goal[0] = 1.0, np.nan
     problem = make_problem(DragDoubleIntegrator(), start=start, goal=goal, duration=3.0)
     results = [
-        plan_problem(problem, Planner(intervals=8, backend=backend))
+        plan_problem(problem, Planner(intervals=8, backend=backend, time_limit=600.0))
         for backend in ("clarabel", "ipopt")
     ]
     for result in results:
@@ -310,6 +312,7 @@ def test_both_backends_agree_on_a_small_field():
     scenario.planner.intervals = 12
     clarabel = plan(scenario)
     scenario.planner.backend = "ipopt"
+    scenario.planner.time_limit = 600.0  # on a busy machine, too
     ipopt = plan(scenario)
     assert clarabel.certified and ipopt.certified
     assert clarabel.cost == pytest.approx(ipopt.cost, rel=0.02)

@@ -384,7 +384,7 @@ def test_the_planner_uses_the_plan_it_is_given(
     simulator.Initialize()
     context = simulator.get_context()
     held = planner.GetOutputPort("plan").Eval(context)
-    np.testing.assert_array_equal(held.layer_samples, resting.layer_samples)
+    np.testing.assert_array_equal(held.layer_coefficients, resting.layer_coefficients)
     assert planner.GetOutputPort("status").Eval(context) == "given"
 
 

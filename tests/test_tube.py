@@ -18,6 +18,7 @@ from models_for_tests import (
     wave,
 )
 
+from dtmpc_drake.filters import half_grid, integrate_filter, linear_recurrence
 from dtmpc_drake.models import Array, DragDoubleIntegrator, IntegratorChain, Model
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.sliding import sliding_variable
@@ -26,10 +27,7 @@ from dtmpc_drake.tube import (
     VelocityBound,
     cascade_bound,
     filter_rates,
-    half_grid,
     initial_stages,
-    integrate_filter,
-    linear_recurrence,
     propagate,
     propagate_error_bounds,
 )

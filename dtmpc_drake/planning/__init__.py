@@ -1,6 +1,7 @@
 """From a scenario to a certified plan: the one function that plans."""
 
-from dtmpc_drake.planning.certificate import Certificate, Margin, certify
+from dtmpc_drake.planning.certificate import Certificate, certify
+from dtmpc_drake.planning.margins import Margin
 from dtmpc_drake.planning.planner import PlanningResult, plan, plan_problem
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.planning.replanning import Decision, replan, shortest_duration

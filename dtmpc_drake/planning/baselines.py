@@ -20,10 +20,11 @@ cost is that of the input alone.
 from __future__ import annotations
 
 import dataclasses
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
+from dtmpc_drake.layer import layer_pieces
 from dtmpc_drake.models import ConstantUncertainty
 from dtmpc_drake.plan import Plan
 from dtmpc_drake.planning.certificate import Certificate, certify
@@ -102,8 +103,10 @@ class Outcome:
         """Why it is not certified, or what its smallest margin is."""
         if self.plan is None or self.certificate is None:
             return self.result.message
+        if self.certificate.faults:
+            return self.certificate.reason
         name, margin = self.certificate.worst
-        return f"smallest margin: {name} {margin}"
+        return f"smallest margin: {margin.named(name)}"
 
 
 def make_baselines(scenario: Scenario) -> list[Baseline]:
@@ -190,17 +193,22 @@ def with_fixed_bandwidth(plan: Plan, problem: Problem) -> Plan:
     """
     count = len(plan.tube_times) - 1
     half = np.linspace(plan.start_time, plan.end_time, 2 * count + 1)
+    layer: dict[str, Any] = {
+        "model": problem.model,
+        "reference": plan.reference(half)[:, :-1],
+        "bandwidth": np.broadcast_to(
+            problem.bandwidth_max, (len(half), plan.num_outputs)
+        ),
+        "disturbance_bound": problem.disturbance_bound,
+        "reaching_rate": problem.reaching_rate,
+        "initial_boundary_layer": problem.initial_boundary_layer,
+        "step": (plan.end_time - plan.start_time) / count,
+    }
     tube = propagate(
-        model=problem.model,
-        reference=plan.reference(half)[:, :-1],
-        bandwidth=np.broadcast_to(problem.bandwidth_max, (len(half), plan.num_outputs)),
         slope=problem.slope,
-        disturbance_bound=problem.disturbance_bound,
-        reaching_rate=problem.reaching_rate,
-        initial_boundary_layer=problem.initial_boundary_layer,
         initial_error=problem.initial_error,
         velocity_bound=problem.velocity_bound,
-        step=(plan.end_time - plan.start_time) / count,
+        **layer,
     )
     return dataclasses.replace(
         plan,
@@ -208,7 +216,7 @@ def with_fixed_bandwidth(plan: Plan, problem: Problem) -> Plan:
             problem.bandwidth_max, plan.bandwidth_knots.shape
         ).copy(),
         tube_times=half[::2],
-        layer_samples=np.stack([tube.boundary_layer, tube.boundary_layer_rate], axis=1),
+        layer_coefficients=layer_pieces(**layer),
         bound_samples=tube.error_bound,
         bound_rate_samples=tube.error_bound_rate,
     )

@@ -30,6 +30,7 @@ import numpy as np
 from dtmpc_drake.models import Array
 from dtmpc_drake.plan import Plan
 from dtmpc_drake.planning.certificate import certify
+from dtmpc_drake.planning.deadline import NEVER, Deadline
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.planning.scp import Iteration, iterate_to_convergence
 from dtmpc_drake.planning.sides import NEITHER, Way, propose, sides_of
@@ -155,7 +156,13 @@ class Solve(Protocol):
     """`planner.plan_problem`, without a search."""
 
     def __call__(
-        self, problem: Problem, settings: Planner, /, *, warm_start: Guess | None
+        self,
+        problem: Problem,
+        settings: Planner,
+        /,
+        *,
+        warm_start: Guess | None,
+        deadline: Deadline,
     ) -> PlanningResult:
         """Plans a problem."""
 
@@ -167,6 +174,7 @@ def plan_best_side(
     *,
     warm_start: Guess | None = None,
     threads: int | None = None,
+    deadline: Deadline = NEVER,
 ) -> PlanningResult:
     """Plans a problem on the best sides of its obstacles.
 
@@ -177,6 +185,7 @@ def plan_best_side(
         warm_start: an earlier plan.  It is kept if it is certified and nothing else
             is clearly cheaper (`SWITCH`).
         threads: at most so many at once; as many as there are cores if left out.
+        deadline: after which no convex program is begun.
 
     Returns:
         The result of the best candidate, with the table of all.  Its history is
@@ -186,19 +195,19 @@ def plan_best_side(
     local = dataclasses.replace(settings, initial_guess="straight_line")
     earlier = None
     if warm_start is not None:
-        earlier = solve(problem, local, warm_start=warm_start)
+        earlier = solve(problem, local, warm_start=warm_start, deadline=deadline)
     solves, fine = affordable(problem, settings)
 
     def solve_coarsely(start: tuple[str, Way]) -> _Coarse:
-        return _solve_coarsely(problem, local, *start)
+        return _solve_coarsely(problem, local, *start, deadline)
 
     few = min(FINE_ITERATIONS, settings.max_iterations)
     quick = dataclasses.replace(local, max_iterations=few)
 
     def plan_finely(k: int) -> PlanningResult:
         if k == 0 and earlier is None:  # as without a search
-            return solve(problem, local, warm_start=None)
-        result = solve(problem, quick, warm_start=coarse[k].plan)
+            return solve(problem, local, warm_start=None, deadline=deadline)
+        result = solve(problem, quick, warm_start=coarse[k].plan, deadline=deadline)
         result = _or_coarse(result, coarse[k])
         return dataclasses.replace(result, history=coarse[k].history + result.history)
 
@@ -233,7 +242,7 @@ def plan_best_side(
     if best is None:
         chosen = 0
         if earlier is not None or chosen not in found:
-            found[chosen] = solve(problem, local, warm_start=None)
+            found[chosen] = solve(problem, local, warm_start=None, deadline=deadline)
         best = found[chosen]
         if earlier is not None and not _is_good(best):
             chosen, best = None, earlier
@@ -256,7 +265,7 @@ def _is_good(result: PlanningResult) -> bool:
     """Whether a plan is certified, or would be if the model's bounds were proven."""
     if result.plan is None or result.certificate is None:
         return False
-    return result.certificate.worst[1].value >= 0
+    return result.certificate.kept
 
 
 def _or_coarse(result: PlanningResult, coarse: _Coarse) -> PlanningResult:
@@ -269,11 +278,10 @@ def _or_coarse(result: PlanningResult, coarse: _Coarse) -> PlanningResult:
     certificate = certify(coarse.plan, result.problem)
     if not certificate.certified:
         return result
-    name, margin = certificate.worst
     return dataclasses.replace(
         result,
         status="certified",
-        message=f"smallest margin: {name} {margin}",
+        message=certificate.reason,
         plan=coarse.plan,
         attempt=coarse.plan,
         certificate=certificate,
@@ -325,7 +333,7 @@ def _coarse_intervals(settings: Planner) -> int:
 
 
 def _solve_coarsely(
-    problem: Problem, settings: Planner, start: str, way: Way
+    problem: Problem, settings: Planner, start: str, way: Way, deadline: Deadline
 ) -> _Coarse:
     transcription = Transcription(problem, _coarse_intervals(settings))
     if start == STRAIGHT:
@@ -340,6 +348,7 @@ def _solve_coarsely(
         max_iterations=ITERATIONS,
         report=history.append,
         coarse=True,
+        deadline=deadline,
     )
     path = Way.along(way.sides, result.iterate.reference[:, 0])
     return _Coarse(

@@ -14,51 +14,34 @@ import numpy as np
 
 from dtmpc_drake.models import Array, ConstantUncertainty
 from dtmpc_drake.plan import Plan
+from dtmpc_drake.planning.bandwidth_margins import bandwidth_margins
+from dtmpc_drake.planning.consistency import (
+    OF_THE_ENDS,
+    consistency_margins,
+    plan_faults,
+)
 from dtmpc_drake.planning.enclosure import (
     Corridor,
     Enclosure,
-    Polynomial,
     claimed_corridor,
     enclose,
 )
+from dtmpc_drake.planning.margins import Margin, smallest, worst
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.tightening import input_bound, rate_bound
 
 INTERVALS = (16e-3, 2e-3, 5e-4)
 """Longest interval, in s: the next one is taken if a bound is negative.  The first
 is for models whose error bound is constant: nothing is of first order then but F̂."""
-FIXED_TOLERANCE = 5e-3
-"""Allowed deviation from a fixed bandwidth, relative."""
-END_TOLERANCE = 1e-6
-"""Allowed distance from the start and goal states, in their units."""
+SAMPLED = "the model's bounds over a box are sampled, not proven"
 TUBE_TOLERANCE = 1e-4
 """How far the tube that a plan carries may lie below the proven one, on which all
 margins rest; in m for the position tube."""
 TOP_TOLERANCE = 2e-3
 """The same for the highest derivative that is a state (for n = 2 the velocity tube,
 in m/s), whose bound depends on itself and, through Δ̄, on the whole tube."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Margin:
-    """The smallest distance from a limit over a whole plan.
-
-    Attributes:
-        value: negative where the limit is broken.
-        unit: of the value.
-        time: when it is smallest, in s.
-        where: which obstacle, axis or bound.
-    """
-
-    value: float
-    unit: str
-    time: float
-    where: str
-
-    def __str__(self) -> str:
-        """For one line of a report."""
-        at = f"{self.value:+.4f} {self.unit} at t = {self.time:.2f} s"
-        return f"{at} ({self.where})" if self.where else at
+_OF_THE_PLAN = ("tube", *OF_THE_ENDS)
+"""Margins that say how far a plan agrees with itself and its problem: no limits."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,30 +52,59 @@ class Certificate:
         margins: by name.
         bounds_proven: whether the model's bounds over a box are proven; if they
             were sampled, no plan is certified.
+        faults: what makes it no plan of this problem at all, one line each; there
+            are no margins then.
     """
 
     margins: dict[str, Margin]
     bounds_proven: bool
+    faults: tuple[str, ...] = ()
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
     @property
+    def kept(self) -> bool:
+        """Whether all limits are kept, if the model's bounds are true."""
+        return not self.faults and all(m.kept for m in self.margins.values())
+
+    @property
     def certified(self) -> bool:
-        """Whether no margin is negative and the bounds are proven."""
-        return self.bounds_proven and self.worst[1].value >= 0
+        """Whether all limits are kept and the bounds are proven."""
+        return self.kept and self.bounds_proven
 
     @property
     def worst(self) -> tuple[str, Margin]:
-        """The smallest margin and its name, among limits where all are kept."""
-        items = sorted(self.margins.items(), key=lambda item: item[1].value)
-        limits = [item for item in items if item[0] not in ("tube", "ends")]
-        return items[0] if items[0][1].value < 0 else limits[0]
+        """The smallest margin and its name, among limits where all are kept.
+
+        Raises:
+            ValueError: if there are `faults`, and so no margins.
+        """
+        broken = {name: m for name, m in self.margins.items() if not m.kept}
+        limits = {n: m for n, m in self.margins.items() if n not in _OF_THE_PLAN}
+        among = broken or limits
+        margin = worst(among.values())
+        return next(name for name, m in among.items() if m is margin), margin
+
+    @property
+    def reason(self) -> str:
+        """One line: why there is no certificate, or what its smallest margin is."""
+        if self.faults:
+            return self.faults[0]
+        name, margin = self.worst
+        if not margin.kept:
+            return margin.named(name)
+        if not self.bounds_proven:
+            return SAMPLED
+        return f"smallest margin: {margin.named(name)}"
 
     def __str__(self) -> str:
-        """One line a margin."""
-        lines = [f"{name:<16} {margin}" for name, margin in self.margins.items()]
+        """One line a fault or margin."""
+        lines = [*self.faults]
+        for name, margin in self.margins.items():
+            finite = np.isfinite(margin.value)
+            lines.append(f"{name:<20} {margin}" if finite else margin.named(name))
         if not self.bounds_proven:
-            lines.append("the model's bounds over a box are sampled, not proven")
+            lines.append(SAMPLED)
         return "\n".join(lines)
 
 
@@ -108,21 +120,27 @@ def certify(plan: Plan, problem: Problem) -> Certificate:
         problem: gives model, limits and obstacles.
 
     Returns:
-        The certificate.
-
-    Raises:
-        ValueError: if the plan's grids are not uniform, one within the other.
+        The certificate.  A plan that is none, or of another kind than the problem,
+        has `Certificate.faults`.
     """
-    for longest in INTERVALS[problem.model.error_bound_varies :]:
-        enclosure = enclose(
-            plan, problem, longest=longest, velocity_slack=TOP_TOLERANCE
-        )
-        margins = _margins(plan, problem, enclosure)
-        certificate = Certificate(margins, problem.model.bounds_certified)
-        name, worst = certificate.worst
-        # An obstacle's bound is cut on its own.
-        if worst.value >= 0 or name in ("obstacles", "ends"):
-            break
+    proven = problem.model.bounds_certified
+    faults = plan_faults(plan, problem)
+    if faults:
+        return Certificate({}, proven, faults)
+    # What is not a number is found at the end; nothing may be lost before.
+    with np.errstate(all="ignore"):
+        for longest in INTERVALS[problem.model.error_bound_varies :]:
+            enclosure = enclose(
+                plan, problem, longest=longest, velocity_slack=TOP_TOLERANCE
+            )
+            certificate = Certificate(_margins(plan, problem, enclosure), proven)
+            if certificate.kept:
+                break
+            name, margin = certificate.worst
+            # An obstacle's bound is cut on its own.
+            cut = name == "obstacles" or name in OF_THE_ENDS
+            if cut or not np.isfinite(margin.value):
+                break
     return certificate
 
 
@@ -151,7 +169,7 @@ def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Ma
         reference_radius=radius,
         gain_radius=gain_radius,
     )
-    margins["speed"] = _smallest(time, speed, "m/s", "axis")
+    margins["speed"] = smallest(time, speed, "m/s", "axis")
     # The norm of y*^(n), which is linear, is largest at an end.
     rise = corridor.reference.half * middle[:, n + 1]
     used = input_bound(
@@ -165,74 +183,23 @@ def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Ma
         gain_radius=gain_radius,
     )
     room = (problem.input_limit - used.max(axis=0))[:, None]
-    margins["input"] = _smallest(time, room, f"m/s^{n}", "")
-    margins |= _bandwidth_margins(plan, problem, enclosure)
+    margins["input"] = smallest(time, room, f"m/s^{n}", "")
+    margins |= bandwidth_margins(plan, problem, enclosure)
     thinnest = enclosure.layer.derivatives[:, 0] - enclosure.layer.radius(0)
-    margins["boundary_layer"] = _smallest(time, thinnest, "m/s", "axis")
+    margins["boundary_layer"] = smallest(time, thinnest, "m/s", "axis")
     tolerance = np.full((n, 1), TUBE_TOLERANCE)
     tolerance[-1] = TOP_TOLERANCE if n > 1 else TUBE_TOLERANCE
     own = enclosure.claim_excess + tolerance
-    margins["tube"] = _smallest(time, own.reshape(len(time), -1), "", "bound")
-    ends = plan.reference(np.array([plan.start_time, plan.end_time]))[:, :n]
-    wanted = np.stack([problem.start, problem.goal])
-    # What is not a number is free.
-    missing = np.nan_to_num(np.abs(ends - wanted)).max(axis=1)
-    times = np.array([plan.start_time, plan.end_time])
-    margins["ends"] = _smallest(times, END_TOLERANCE - missing, "", "axis")
+    bounds = [f"bound {k} on axis {i}" for k in range(n) for i in range(own.shape[2])]
+    margins["tube"] = smallest(time, own.reshape(len(time), -1), "", bounds)
+    margins |= consistency_margins(plan, problem)
     if isinstance(problem.model, ConstantUncertainty) and problem.model.covers:
         true = problem.model.model.model_error_bound_over(
             middle[:, :n], enclosure.error_bound + radius
         )
         room = problem.model.bound - true
-        margins["model_error"] = _smallest(time, room, "m/s²", "axis")
+        margins["model_error"] = smallest(time, room, "m/s²", "axis")
     return margins
-
-
-def _bandwidth_margins(
-    plan: Plan, problem: Problem, enclosure: Enclosure
-) -> dict[str, Margin]:
-    """Margins of α = (Δ(x*) + D + η - dΦ*/dt)/Φ*, and of the planned α's rate.
-
-    The rate is that of the plan's own piecewise-linear α, which the layer
-    realises.
-    """
-    order, layer = problem.model.order, enclosure.layer
-    middle = enclosure.corridor.reference.derivatives[:, :order]
-    time, unit = enclosure.corridor.time[:-1], "rad/s"
-    constant = problem.disturbance_bound + problem.reaching_rate
-
-    def excess(bandwidth: Array) -> tuple[Array, Array]:
-        """Bounds of dΦ/dt + bΦ - D - η, which is Δ(x*) where α = b."""
-        rows = layer.derivatives[:, 1:].copy()
-        rows[:, 0] -= constant
-        scaled = bandwidth * layer.derivatives[:, :-1]
-        whole = Polynomial(rows + scaled, layer.half)
-        value, radius = whole.derivatives[:, 0], whole.radius(0)
-        return value - radius, value + radius
-
-    low, high = problem.bandwidth_min, problem.bandwidth_max
-    if problem.bandwidth_is_fixed:
-        low, high = low * (1 - FIXED_TOLERANCE), high * (1 + FIXED_TOLERANCE)
-    model, radius = problem.model, enclosure.reference_radius
-    thick = layer.derivatives[:, 0] + layer.radius(0)
-    above = model.model_error_bound_under(middle, radius) - excess(low)[1]
-    below = excess(high)[0] - model.model_error_bound_over(middle, radius)
-    margins = {
-        "bandwidth_min": _smallest(time, above / thick, unit, "axis"),
-        "bandwidth_max": _smallest(time, below / thick, unit, "axis"),
-    }
-    if not problem.bandwidth_is_fixed:
-        rate = np.diff(plan.bandwidth_knots, axis=0) / np.diff(plan.knots)[:, None]
-        slack = problem.bandwidth_rate_max - np.abs(rate)
-        margins["bandwidth_rate"] = _smallest(plan.knots, slack, "rad/s²", "axis")
-    return margins
-
-
-def _smallest(time: Array, values: Array, unit: str, where: str) -> Margin:
-    """The smallest of ``(K, q)`` values, and the name of its column."""
-    row, column = np.unravel_index(int(np.argmin(values)), values.shape)
-    name = f"{where} {column}" if where else ""
-    return Margin(float(values[row, column]), unit, float(time[row]), name)
 
 
 def clearance_ahead(plan: Plan, problem: Problem, start: float) -> Margin:
@@ -257,19 +224,20 @@ def _obstacle_margin(
     """
     stride = corridor.parts
     start: Array = np.arange(0, len(corridor.time) - 1, stride)
-    start = start[corridor.time[start + stride] > after]
+    ahead = corridor.time[start + stride] > after
+    start = start[ahead] if ahead.any() else start[-1:]  # a plan holds its end
     found: list[Margin] = []
     while len(start):
         values = _clearance_bounds(problem, corridor, start, stride)
         open_ = (values < 0).any(axis=1) & (stride > 1)
         if not open_.all():
             time = corridor.time[start[~open_]]
-            margin = _smallest(time, values[~open_], "m", "")
+            margin = smallest(time, values[~open_], "m", "")
             nearest = problem.obstacles.index[values[~open_].min(axis=0).argmin()]
             found.append(dataclasses.replace(margin, where=f"obstacle {nearest}"))
         stride //= 2
         start = (start[open_, None] + [0, stride]).ravel()
-    return min(found, key=lambda margin: margin.value)
+    return worst(found)
 
 
 def _clearance_bounds(

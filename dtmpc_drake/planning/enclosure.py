@@ -16,18 +16,13 @@ from typing import ClassVar
 
 import numpy as np
 
+from dtmpc_drake.filters import half_grid, integrate_filter
 from dtmpc_drake.models import Array
 from dtmpc_drake.plan import Plan
 from dtmpc_drake.planning.problem import Problem
-from dtmpc_drake.tube import (
-    cascade_bound,
-    comparison_forcing,
-    half_grid,
-    integrate_filter,
-    propagate_cascade,
-)
+from dtmpc_drake.tube import cascade_bound, comparison_forcing, propagate_cascade
 
-_THINNEST = 1e-12
+THINNEST = 1e-12
 """Boundary layer that is divided by, in m/s; one so thin is no layer at all."""
 _MOST, _LONGEST = 2**19, 16e-3
 """About so many intervals are enough, unless they are longer than this, in s: a flight
@@ -71,10 +66,8 @@ class Polynomial:
     def radius(self, order: int) -> Array:
         """How far a derivative leaves its value at the middle, ``(K, m)``."""
         rest = self.derivatives[:, order + 1 :]
-        total = np.zeros_like(self.derivatives[:, 0])
-        for j in range(rest.shape[1]):
-            total += self.half ** (j + 1) / factorial(j + 1) * np.abs(rest[:, j])
-        return total
+        weight = [self.half**j / factorial(j) for j in range(1, rest.shape[1] + 1)]
+        return np.asarray(np.einsum("j,kjm->km", np.array(weight), np.abs(rest)))
 
     def largest(self, order: int) -> Array:
         """A bound of a derivative's magnitude all along, ``(K, m)``."""
@@ -160,7 +153,7 @@ def enclose(
     n = problem.model.order
     pieces = _Pieces.of(plan, longest)
     h, reference, hermite = pieces.step, pieces.reference(), pieces.hermite
-    layer = hermite(plan.layer_samples[:, 0], plan.layer_samples[:, 1])
+    layer = pieces.layer()
 
     # The cascade.  Its rates are filtered too, so they are bounded in turn.
     stages, rates = propagate_cascade(
@@ -261,15 +254,9 @@ class _Pieces:
 
     @classmethod
     def of(cls, plan: Plan, longest: float) -> _Pieces:
-        pieces, steps = len(plan.knots) - 1, len(plan.tube_times) - 1
-        span = plan.end_time - plan.start_time
-        uniform = plan.start_time + span * np.arange(steps + 1) / steps
-        if (
-            steps % pieces
-            or not np.allclose(plan.tube_times, uniform, rtol=0, atol=1e-9 * span)
-            or not np.allclose(plan.knots, uniform[:: steps // pieces], 0, 1e-9 * span)
-        ):
+        if not plan.is_uniform:
             raise ValueError("a plan's knots must be equally spaced, and so its tube")
+        steps, span = len(plan.tube_times) - 1, plan.end_time - plan.start_time
         longest = max(longest, min(_LONGEST, span / _MOST))
         parts = 1
         while span / steps / parts > longest:
@@ -295,6 +282,11 @@ class _Pieces:
             self.plan.coefficients,
             self.tube_step * tube_steps,
             tube_steps * self.parts,
+        )
+
+    def layer(self) -> Polynomial:
+        return Polynomial.on_intervals(
+            self.plan.layer_coefficients, self.tube_step, self.parts
         )
 
     def hermite(self, value: Array, rate: Array) -> Polynomial:
@@ -339,7 +331,7 @@ def _velocity_tube(
     nominal = _chords(model.model_error_bound(ends))
     constant = problem.disturbance_bound + problem.reaching_rate
     thickness = _interleave(layer.at_ends(), layer.derivatives[:, 0])
-    thickness = np.maximum(thickness, _THINNEST)
+    thickness = np.maximum(thickness, THINNEST)
     rate = _interleave(layer.at_ends(1), layer.derivatives[:, 1])
     bandwidth = np.maximum(constant + nominal - rate, 0.0) / thickness
 
@@ -370,7 +362,7 @@ def _velocity_tube(
     gain = constant + nominal[1::2] - layer.derivatives[:, 1]
     low = np.maximum(gain - change, 0.0) / (layer.derivatives[:, 0] + layer.radius(0))
     low = low + (n - 1) * slope
-    thin = np.maximum(layer.derivatives[:, 0] - layer.radius(0), _THINNEST)
+    thin = np.maximum(layer.derivatives[:, 0] - layer.radius(0), THINNEST)
     worst = forcing(
         np.maximum(gain + change, 0.0) / thin,
         error_bound[:, :-1],

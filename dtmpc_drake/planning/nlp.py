@@ -17,6 +17,7 @@ from pydrake.solvers import IpoptSolver, MathematicalProgram, SolverOptions
 
 from dtmpc_drake.models import Array
 from dtmpc_drake.planning import splines
+from dtmpc_drake.planning.deadline import NEVER, Deadline
 from dtmpc_drake.planning.scp import BACKOFF, Iteration, Result, violation
 from dtmpc_drake.planning.transcription import (
     Iterate,
@@ -221,7 +222,7 @@ class _Program:
                     along - size, obstacles.radius[o] + BACKOFF, np.inf
                 )
 
-    def solve(self) -> tuple[Array, Array, Array, bool, str]:
+    def solve(self, deadline: Deadline) -> tuple[Array, Array, Array, bool, str]:
         """Coefficients, bandwidth, tube states, success and status."""
         options = SolverOptions()
         for name, value in {
@@ -234,6 +235,10 @@ class _Program:
             "max_iter": 1000,
         }.items():
             options.SetOption(IpoptSolver.id(), name, value)
+        if np.isfinite(deadline.left):
+            # IPOPT takes no limit of zero.
+            seconds = max(deadline.left, 1e-3)
+            options.SetOption(IpoptSolver.id(), "max_wall_time", seconds)
         result = IpoptSolver().Solve(self.program, None, options)
         details = result.get_solver_details()
         values = [
@@ -249,32 +254,45 @@ def solve_nlp(
     decisions: tuple[Array, Array],
     *,
     report: Callable[[Iteration], None],
+    deadline: Deadline = NEVER,
 ) -> Result:
     """Solves the nonlinear program, again where its result shows more is needed.
+
+    Where a solve ends worse than it began, as one that diverges does, the best
+    iterate is what counts.
 
     Args:
         transcription: of the problem.
         decisions: coefficients and bandwidth to start from.
         report: is given every solve.
+        deadline: after which IPOPT is stopped.
     """
     tr = transcription
     clock = time.perf_counter
-    current = tr.evaluate(*decisions)
+    current = best = tr.evaluate(*decisions)
     correction = np.zeros_like(tr.tube_states(current))
-    worst = violation(current)
+    worst = least = violation(current)
+    if not np.isfinite([worst, current.cost]).all():
+        return Result(current, False, np.inf)
+    status: str | None = None
     for _ in range(ROUNDS):
+        if deadline.passed:
+            return Result(best, False, least, out_of_time=True)
         t0 = clock()
         # numpy warns of invalid values whenever it meets a symbolic expression.
         with np.errstate(invalid="ignore"):
             program = _Program(tr, current, correction)
         t1 = clock()
-        coefficients, alpha, states, success, status = program.solve()
+        coefficients, alpha, states, success, status = program.solve(deadline)
         t2 = clock()
-        if not np.isfinite(coefficients).all():
-            return Result(current, False, worst, status)
+        if not all(np.isfinite(x).all() for x in (coefficients, alpha, states)):
+            return Result(best, False, least, _words(status))
         before = current
-        current = tr.evaluate(coefficients, tr.feasible_bandwidth(alpha))
-        worst = violation(current)
+        with np.errstate(all="ignore"):  # an iterate that diverges may overflow
+            current = tr.evaluate(coefficients, tr.feasible_bandwidth(alpha))
+            worst = violation(current)
+        if worst < least or (worst <= BACKOFF and current.cost < best.cost):
+            best, least = current, worst
         exact = tr.tube_states(current)
         defect = exact - states - correction
         correction = exact - states
@@ -298,7 +316,16 @@ def solve_nlp(
             )
         )
         if worst <= BACKOFF:
-            return Result(current, success, worst)
+            return Result(best, success, least, None if success else _words(status))
+        if deadline.passed:
+            return Result(best, False, least, out_of_time=True)
         if not success and "nfeasible" in status:
-            return Result(current, False, worst)
-    return Result(current, False, worst, None if success else status)
+            return Result(best, False, least)
+        if not success and "iverg" in status:
+            return Result(best, False, least, _words(status))
+    return Result(best, False, least, None if success else _words(str(status)))
+
+
+def _words(status: str) -> str:
+    """IPOPT's status as part of a sentence."""
+    return f"IPOPT's {status!r}"

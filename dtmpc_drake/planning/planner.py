@@ -18,6 +18,7 @@ from dtmpc_drake.planning.best_side import (
     plan_best_side,
 )
 from dtmpc_drake.planning.certificate import Certificate, certify
+from dtmpc_drake.planning.deadline import Deadline
 from dtmpc_drake.planning.nlp import solve_nlp
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.planning.scp import (
@@ -65,7 +66,8 @@ class PlanningResult:
     Attributes:
         status: ``certified``; ``not_certified`` (solved, but a margin is
             negative or a bound not proven); ``infeasible`` (constraints cannot
-            be met from this start); ``failed`` (the solver gave up).
+            be met from this start); ``failed`` (the solver gave up, or its time was
+            over).
         message: one line that says which margin or constraint, where and when.
         plan: the plan if solved, else None.
         attempt: the last iterate as a plan, whatever the status; never to fly.
@@ -146,6 +148,7 @@ def plan(
 
     Raises:
         ScenarioError: if the scenario makes no sense.
+        ValueError: if `warm_start` is of another order or number of outputs.
     """
     scenario.validate()
     return plan_problem(
@@ -162,15 +165,30 @@ def plan_problem(
     *,
     report: Callable[[Iteration], None] | None = None,
     warm_start: Guess | None = None,
+    deadline: Deadline | None = None,
 ) -> PlanningResult:
     """Plans any problem, such as one that starts on the way; see `plan`.
 
     With ``initial_guess: best_side`` a certified plan from `warm_start` is kept
     unless another side is clearly cheaper; see `best_side`.
+
+    Args:
+        problem: to plan.
+        settings: how.
+        report: is called with every iteration as it ends.
+        warm_start: to start from, of the problem's order and number of outputs.
+        deadline: that counts instead of ``settings.time_limit``.
+
+    Raises:
+        ValueError: if `warm_start` has another order or number of outputs.
     """
+    _check_warm_start(warm_start, problem)
+    deadline = Deadline.after(settings.time_limit) if deadline is None else deadline
     # A goal that is free has no sides to pass on the way.
     if settings.initial_guess == "best_side" and np.isfinite(problem.goal).all():
-        best = plan_best_side(problem, settings, plan_problem, warm_start=warm_start)
+        best = plan_best_side(
+            problem, settings, plan_problem, warm_start=warm_start, deadline=deadline
+        )
         if report is not None:
             for iteration in best.history:
                 report(iteration)
@@ -186,16 +204,16 @@ def plan_problem(
     if settings.backend == "ipopt":
         transcription = Transcription(problem, settings.intervals)
         decisions = _first_decisions(transcription, warm_start)
-        result = solve_nlp(transcription, decisions, report=note)
+        result = solve_nlp(transcription, decisions, report=note, deadline=deadline)
     else:
         transcription, result = _sequential_convex(
-            problem, settings, warm_start=warm_start, report=note
+            problem, settings, warm_start=warm_start, report=note, deadline=deadline
         )
     before = time.perf_counter()
     attempt = transcription.plan(result.iterate)
     certificate = certify(attempt, problem)
     after = time.perf_counter()
-    status, message = _verdict(transcription, result, certificate)
+    status, message = _verdict(transcription, result, certificate, deadline)
     times = {
         "update": sum(i.update_time for i in history),
         "solve": sum(i.solve_time for i in history),
@@ -217,6 +235,18 @@ def plan_problem(
     )
 
 
+def _check_warm_start(warm_start: Guess | None, problem: Problem) -> None:
+    if not isinstance(warm_start, Plan):
+        return
+    n, m = problem.model.order, problem.model.num_outputs
+    if (warm_start.order, warm_start.num_outputs) != (n, m):
+        raise ValueError(
+            f"warm_start: got a plan of order {warm_start.order} with"
+            f" {warm_start.num_outputs} outputs, but it must be of order {n} with {m}"
+            " outputs, as the model is"
+        )
+
+
 def _first_decisions(
     transcription: Transcription, warm_start: Guess | None
 ) -> tuple[Array, Array]:
@@ -231,6 +261,7 @@ def _sequential_convex(
     *,
     warm_start: Guess | None,
     report: Callable[[Iteration], None],
+    deadline: Deadline,
 ) -> tuple[Transcription, Result]:
     """Coarse grids first: a step there costs half, and refining is exact.
 
@@ -258,16 +289,19 @@ def _sequential_convex(
             coarse=not last,
             # Rather than insist, look for another way.
             max_penalty=10 * PENALTY if free else MAX_PENALTY,
+            deadline=deadline,
         )
         if not last:
             decisions = (
                 splines.refine(result.iterate.coefficients, transcription.degree),
                 _doubled(result.iterate.bandwidth),
             )
-    if result.violation > BACKOFF and free:
+    if result.violation > BACKOFF and free and not result.out_of_time:
         high = transcription.bandwidth_high
         held = dataclasses.replace(problem, bandwidth_min=high, bandwidth_max=high)
-        _, first = _sequential_convex(held, settings, warm_start=None, report=report)
+        _, first = _sequential_convex(
+            held, settings, warm_start=None, report=report, deadline=deadline
+        )
         feasible = first.violation <= BACKOFF
         start = first.iterate if feasible else result.iterate
         result = iterate_to_convergence(
@@ -277,6 +311,7 @@ def _sequential_convex(
             max_iterations=settings.max_iterations,
             report=report,
             max_penalty=10 * PENALTY if feasible else MAX_PENALTY,
+            deadline=deadline,
         )
         if feasible and result.violation > BACKOFF:
             result = first
@@ -291,22 +326,31 @@ def _doubled(values: Array) -> Array:
 
 
 def _verdict(
-    transcription: Transcription, result: Result, certificate: Certificate
+    transcription: Transcription,
+    result: Result,
+    certificate: Certificate,
+    deadline: Deadline,
 ) -> tuple[Status, str]:
-    name, margin = certificate.worst
+    late = f"stopped after {deadline}" if result.out_of_time else ""
+    stopped = f"the solver stopped with {result.failure}" if result.failure else ""
     if certificate.certified:
-        return "certified", f"smallest margin: {name} {margin}"
+        return "certified", "; ".join(filter(None, [certificate.reason, late, stopped]))
     limits = ""
-    if result.violation > BACKOFF and margin.value < 0:
-        limits = _limits(transcription, result.iterate)
-    if result.failure is not None:
-        tail = f"; until then: {limits}" if limits else ""
-        return "failed", f"the solver stopped with {result.failure}{tail}"
+    if np.isfinite(result.violation):
+        if result.violation > BACKOFF and not certificate.kept:
+            limits = _limits(transcription, result.iterate)
+    elif not certificate.kept:
+        limits = certificate.reason
+    if late:
+        why = limits or certificate.reason
+        return "failed", f"{late}, which may be raised; until then: {why}"
+    if stopped:
+        return "failed", "; until then: ".join(filter(None, [stopped, limits]))
+    if not np.isfinite(result.violation):
+        return "failed", limits or "the last iterate is not finite"
     if limits:
         return "infeasible", f"{limits}; no better plan from this start"
-    if margin.value < 0:
-        return "not_certified", f"{name} {margin}"
-    return "not_certified", "the model's bounds over a box are sampled, not proven"
+    return "not_certified", certificate.reason
 
 
 def _limits(transcription: Transcription, iterate: Iterate) -> str:

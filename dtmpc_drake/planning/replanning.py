@@ -10,12 +10,18 @@ import numpy as np
 from dtmpc_drake.models import Array
 from dtmpc_drake.plan import FloatArray, Plan
 from dtmpc_drake.planning.certificate import clearance_ahead
+from dtmpc_drake.planning.deadline import Deadline
 from dtmpc_drake.planning.planner import PlanningResult, plan_problem
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.replan import Outcome
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.sensing import BoolArray, stopping_time
-from dtmpc_drake.sliding import bandwidth, surface_coefficients, switching_gain
+from dtmpc_drake.sliding import (
+    bandwidth,
+    sliding_variable,
+    surface_coefficients,
+    switching_gain,
+)
 from dtmpc_drake.tightening import input_bound
 from dtmpc_drake.tube import (
     Tube,
@@ -31,6 +37,8 @@ STOPS = 2.0
 """A plan to rest is at least this many stopping times long."""
 ITERATIONS = 12
 """Convex programs at most for each try: what needs more comes too late."""
+LAYER_TOLERANCE = 1e-6
+"""By how much a measured |s| may exceed Φ for rounding, relative."""
 CARRY_STEP = 5e-3
 """Step at most, with which the measured error is carried to the hand-over, in s."""
 
@@ -218,6 +226,9 @@ def replan(
     A stop comes before the second search because it is found quickly: a way on may
     then be looked for while it is flown.
 
+    A vehicle that was measured outside of its boundary layer is not where any tube
+    says it is: whatever is found then is called unsafe.
+
     Args:
         scenario: the whole experiment.
         plan: the old one, which is flown until `start`.
@@ -233,6 +244,37 @@ def replan(
     problem = problem_on_the_way(
         whole, plan, measured_at=measured_at, state=state, start=start
     )
+    decision = _decide(scenario, plan, problem, measured_at=measured_at, news=news)
+    outside = _outside(plan, problem, measured_at=measured_at, state=state)
+    if outside:
+        message = f"{outside}; {decision.status}: {decision.message}"
+        return dataclasses.replace(decision, status="unsafe", message=message)
+    return decision
+
+
+def _outside(plan: Plan, problem: Problem, *, measured_at: float, state: Array) -> str:
+    """Where a measured state is outside of its layer; nothing if it is inside."""
+    error = state - plan.reference(measured_at)[: problem.model.order]
+    s = sliding_variable(error, problem.slope)
+    share = np.abs(s) / plan.boundary_layer(measured_at)
+    # What is not a number is nowhere.
+    axis = int(np.argmax(np.where(np.isfinite(share), share, np.inf)))
+    if share[axis] <= 1 + LAYER_TOLERANCE:
+        return ""
+    where = f"|s|/Φ = {share[axis]:.3g} on axis {axis}"
+    return f"measured outside of the boundary layer ({where})"
+
+
+def _decide(
+    scenario: Scenario,
+    plan: Plan,
+    problem: Problem,
+    *,
+    measured_at: float,
+    news: bool,
+) -> Decision:
+    """What `replan` decides for a vehicle that is inside its boundary layer."""
+    start = problem.start_time
     tries = _Tries(scenario)
     left, n = problem.duration, problem.model.order
     enough = left >= shortest_duration(scenario) - 1e-9
@@ -257,8 +299,9 @@ def replan(
         if tries.certified(stop, longest, guess):
             return tries.decision("braking", f"no way to the goal: {why}")
         certificate = tries.last.certificate
-        if certificate and certificate.margins["obstacles"].value > distance:
-            best, distance = tries.last, certificate.margins["obstacles"].value
+        clear = certificate.margins.get("obstacles") if certificate else None
+        if clear is not None and clear.value > distance:
+            best, distance = tries.last, clear.value
     if enough and arrives and tries.certified(problem, left, None):
         return tries.decision("certified")
     message = f"nothing is certified; obstacles {distance:+.4f} m"
@@ -272,6 +315,7 @@ class _Tries:
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
+        self._deadline = Deadline.after(scenario.planner.time_limit)
         self._results: list[PlanningResult] = []
 
     def certified(
@@ -292,7 +336,9 @@ class _Tries:
             initial_guess=planner.initial_guess if search else "straight_line",
         )
         problem = dataclasses.replace(problem, duration=duration)
-        self._results.append(plan_problem(problem, settings, warm_start=guess))
+        self._results.append(
+            plan_problem(problem, settings, warm_start=guess, deadline=self._deadline)
+        )
         return self.last.certified
 
     @property

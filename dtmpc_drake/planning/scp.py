@@ -24,6 +24,7 @@ from pydrake.solvers import (
 )
 
 from dtmpc_drake.models import Array, bends, jacobian
+from dtmpc_drake.planning.deadline import NEVER, Deadline
 from dtmpc_drake.planning.sensitivity import kinks, transitions
 from dtmpc_drake.planning.splines import Sparse
 from dtmpc_drake.planning.transcription import (
@@ -558,13 +559,16 @@ class Program:
         )
         self._slack_cost.evaluator().UpdateCoefficients(np.full(1, penalty))
 
-    def solve(self) -> tuple[Array | None, str]:
+    def solve(self, deadline: Deadline = NEVER) -> tuple[Array | None, str]:
         """The step z, or None, and the solver's status."""
         if not self._finite:
             return None, "numbers that are too large"
         status = ""
+        own = SolverOptions()
         # Fast options first; Clarabel's own where they are not good enough.
-        for options in (self._options, None):
+        for options in (self._options, own):
+            if np.isfinite(deadline.left):
+                options.SetOption(ClarabelSolver.id(), "time_limit", deadline.left)
             # As a batch of one it lets other threads run, which `Solve` does not.
             (result,) = SolveInParallel(
                 progs=[self.program],
@@ -685,7 +689,8 @@ def violation(iterate: Iterate) -> float:
     margins = [iterate.speed_margin.min(), iterate.input_margin.min()]
     for some in (iterate.error_margin, iterate.planes.margin):
         margins.append(some.min(initial=np.inf))
-    return float(max(0.0, BACKOFF - min(margins)))
+    # What is not a number violates everything.
+    return float(np.nan_to_num(np.maximum(0.0, BACKOFF - np.min(margins)), nan=np.inf))
 
 
 def _excess(violation: float) -> float:
@@ -703,12 +708,14 @@ class Result:
             tolerance any more.
         violation: of the iterate.
         failure: the solver's status, if it is what ended the iterations.
+        out_of_time: whether it was the deadline.
     """
 
     iterate: Iterate
     converged: bool
     violation: float
     failure: str | None = None
+    out_of_time: bool = False
 
 
 def _walk(
@@ -719,6 +726,7 @@ def _walk(
     predicted: float,
     penalty: float,
     tries: int,
+    deadline: Deadline,
 ) -> tuple[Array, Iterate, float, float]:
     """Walks along a step as far as the merit function keeps its promise.
 
@@ -731,6 +739,7 @@ def _walk(
         penalty: of the violation.
         tries: 1 for the whole step only, 2 for ever smaller parts of it, 3 for
             a second-order correction before that.
+        deadline: after which there is no correction.
 
     Returns:
         The step, the iterate that it leads to, the violation there, and the
@@ -750,9 +759,9 @@ def _walk(
     if kept(trial, worst, 1.0):
         return z, trial, worst, 1.0
     bend = np.zeros_like(z)
-    if tries > 2:
+    if tries > 2 and not deadline.passed:
         program.correct(z, trial)
-        corrected, _ = program.solve()
+        corrected, _ = program.solve(deadline)
         if corrected is not None:
             trial, worst = tried(corrected)
             if kept(trial, worst, 1.0):
@@ -778,6 +787,7 @@ def iterate_to_convergence(
     report: Callable[[Iteration], None],
     max_penalty: float = MAX_PENALTY,
     coarse: bool = False,
+    deadline: Deadline = NEVER,
 ) -> Result:
     """Runs the sequential convex program from a start.
 
@@ -791,11 +801,14 @@ def iterate_to_convergence(
         max_penalty: largest weight of the slack that is tried.
         coarse: solve the programs less accurately, and do without the
             second-order correction of steps that fail.
+        deadline: after which no convex program is begun.
     """
     tr = transcription
     clock = time.perf_counter
     current = tr.evaluate(*decisions)
     worst = violation(current)
+    if not np.isfinite([worst, current.cost]).all():
+        return Result(current, False, np.inf)
     program = Program(
         tr,
         # Other pieces may come near on the way.
@@ -807,10 +820,12 @@ def iterate_to_convergence(
     stuck = failures = 0
     penalty, proximity, secant = PENALTY, 0.0, SECANT
     for _ in range(max_iterations):
+        if deadline.passed:
+            return Result(current, False, worst, out_of_time=True)
         t0 = clock()
         program.update(current, penalty, proximity, secant)
         t1 = clock()
-        z, status = program.solve()
+        z, status = program.solve(deadline)
         t2 = clock()
         if z is None:
             # Numerical trouble: a shorter step is an easier program.
@@ -826,7 +841,7 @@ def iterate_to_convergence(
         # Where there is next to nothing to gain, only the whole step is tried.
         last = predicted <= little and worst <= BACKOFF
         tries = 1 if last else 2 if coarse else 3
-        step = _walk(program, current, z, merit, predicted, penalty, tries)
+        step = _walk(program, current, z, merit, predicted, penalty, tries, deadline)
         z, trial, trial_worst, fraction = step
         flat = current.local.pack() + program.variables.local(z)
         defect = np.abs(flat - trial.local.pack())

@@ -19,6 +19,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 import scipy.sparse.linalg
 
+from dtmpc_drake.layer import layer_pieces
 from dtmpc_drake.models import Array, ConstantUncertainty
 from dtmpc_drake.plan import FloatArray, Plan
 from dtmpc_drake.planning import splines
@@ -326,15 +327,7 @@ class Transcription:
         half = (self._half_basis @ windows).reshape(-1, n + 1, self.outputs)
         last = self._end_basis @ windows[-1]
         reference = np.concatenate([half, last[None]])
-        weight = (np.arange(2 * self.tube_steps) / (2 * self.tube_steps))[:, None]
-        alpha = np.concatenate(
-            [
-                (
-                    bandwidth[:-1, None] * (1 - weight) + bandwidth[1:, None] * weight
-                ).reshape(-1, self.outputs),
-                bandwidth[-1:],
-            ]
-        )
+        alpha = self._on_half_grid(bandwidth)
         tube = propagate(
             model=p.model,
             reference=reference[:, :n],
@@ -391,6 +384,12 @@ class Transcription:
             error_margin=self.error_margin(nodes[:, :n], tube.error_bound),
             cost=self._cost(local, bandwidth),
         )
+
+    def _on_half_grid(self, bandwidth: Array) -> Array:
+        """Between the knots α is linear."""
+        weight = (np.arange(2 * self.tube_steps) / (2 * self.tube_steps))[:, None]
+        inner = bandwidth[:-1, None] * (1 - weight) + bandwidth[1:, None] * weight
+        return np.concatenate([inner.reshape(-1, self.outputs), bandwidth[-1:]])
 
     def _local(
         self, reference: Array, tube: Tube, bandwidth: Array, nodes: Array | slice
@@ -588,18 +587,23 @@ class Transcription:
 
     def plan(self, iterate: Iterate) -> Plan:
         """The plan that an iterate stands for."""
-        tube = iterate.tube
+        tube, p = iterate.tube, self.problem
         count = self.intervals * self.tube_steps
-        start, duration = self.problem.start_time, self.problem.duration
         return Plan(
             knots=self.knots,
             coefficients=splines.piece_coefficients(
                 iterate.coefficients, self.degree, self.step
             ),
             bandwidth_knots=iterate.bandwidth,
-            tube_times=start + duration * np.arange(count + 1) / count,
-            layer_samples=np.stack(
-                [tube.boundary_layer, tube.boundary_layer_rate], axis=1
+            tube_times=p.start_time + p.duration * np.arange(count + 1) / count,
+            layer_coefficients=layer_pieces(
+                model=p.model,
+                reference=iterate.reference[:, : self.order],
+                bandwidth=self._on_half_grid(iterate.bandwidth),
+                disturbance_bound=p.disturbance_bound,
+                reaching_rate=p.reaching_rate,
+                initial_boundary_layer=p.initial_boundary_layer,
+                step=self.step / self.tube_steps,
             ),
             bound_samples=tube.error_bound,
             bound_rate_samples=tube.error_bound_rate,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from time import perf_counter
 from typing import Any, ClassVar
 
@@ -11,6 +12,7 @@ from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import EventStatus, LeafSystem
 
 from dtmpc_drake import tube
+from dtmpc_drake.layer import layer_pieces
 from dtmpc_drake.plan import Plan
 from dtmpc_drake.planning import Problem, plan_problem, replan, shortest_duration
 from dtmpc_drake.planning.transcription import HAIR
@@ -21,6 +23,9 @@ from dtmpc_drake.sliding import sliding_variable
 from dtmpc_drake.systems.obstacle_sensor import EvalMeasuredObstacles
 
 _HOLD_STEPS = 400
+"""Of the tube of a plan that rests, at least."""
+_HOLD_STEP = 0.5
+"""Of these steps, at most, in time constants of the fastest filter."""
 
 
 def hold_plan(scenario: Scenario) -> Plan:
@@ -43,18 +48,20 @@ def hold_plan(scenario: Scenario) -> Plan:
     layer = np.maximum(
         scenario.initial_boundary_layer(), np.abs(sliding_variable(error, slope))
     )
-    half_grid = 2 * _HOLD_STEPS + 1
+    fastest = float((highest + n * slope).max())
+    steps = max(_HOLD_STEPS, math.ceil(scenario.duration * fastest / _HOLD_STEP))
+    half_grid = 2 * steps + 1
+    shared: dict[str, Any] = {
+        "model": model,
+        "reference": np.broadcast_to(rest[:n], (half_grid, n, m)),
+        "bandwidth": np.broadcast_to(highest, (half_grid, m)),
+        "disturbance_bound": scenario.disturbance_bound(),
+        "reaching_rate": scenario.controller.reaching_rate,
+        "initial_boundary_layer": layer,
+        "step": scenario.duration / steps,
+    }
     bounds = tube.propagate(
-        model=model,
-        reference=np.broadcast_to(rest[:n], (half_grid, n, m)),
-        bandwidth=np.broadcast_to(highest, (half_grid, m)),
-        slope=slope,
-        disturbance_bound=scenario.disturbance_bound(),
-        reaching_rate=scenario.controller.reaching_rate,
-        initial_boundary_layer=layer,
-        initial_error=error,
-        velocity_bound="comparison",
-        step=scenario.duration / _HOLD_STEPS,
+        slope=slope, initial_error=error, velocity_bound="comparison", **shared
     )
     coefficients = np.zeros((1, n + 2, m))
     coefficients[0, 0] = rest[0]
@@ -62,10 +69,8 @@ def hold_plan(scenario: Scenario) -> Plan:
         knots=np.array([0.0, scenario.duration]),
         coefficients=coefficients,
         bandwidth_knots=np.stack([highest, highest]),
-        tube_times=np.linspace(0.0, scenario.duration, _HOLD_STEPS + 1),
-        layer_samples=np.stack(
-            [bounds.boundary_layer, bounds.boundary_layer_rate], axis=1
-        ),
+        tube_times=np.linspace(0.0, scenario.duration, steps + 1),
+        layer_coefficients=layer_pieces(**shared),
         bound_samples=bounds.error_bound,
         bound_rate_samples=bounds.error_bound_rate,
     )
