@@ -465,9 +465,10 @@ class Scenario:
         self._check_together()
 
     def _check_types(self) -> None:
+        ok, name = isinstance(self.model, Model), type(self.model).__name__
+        _require("model", name, ok, "a Model of dtmpc_drake.models")
         # Of a model of one's own nobody knows the fields.
-        own = isinstance(self.model, Model)
-        own = own and type(self.model) not in typing.get_args(ModelConfig)
+        own = type(self.model) not in typing.get_args(ModelConfig)
         known = DragDoubleIntegrator() if own else self.model
         typed(Scenario, dataclasses.replace(self, model=known), "")
 
@@ -723,6 +724,7 @@ class Scenario:
             ScenarioError: if something is of a type that no file can name, such as
                 a model of your own: it would be written as a similar one.
         """
+        self._check_types()
         return str(yaml_dump_typed(typed(Scenario, self, ""), schema=Scenario))
 
     def __repr__(self) -> str:

@@ -10,7 +10,7 @@ import copy
 import dataclasses
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from numbers import Integral, Real
@@ -18,7 +18,7 @@ from typing import Any, Union
 
 import numpy as np
 
-from dtmpc_drake.scenario_error import ScenarioError, join
+from dtmpc_drake.scenario_error import ScenarioError, join, require
 from dtmpc_drake.scenario_text import Section, Text
 
 # Without these a scenario would say too little to be anybody's intention.
@@ -83,6 +83,19 @@ def typed(schema: Any, value: Any, path: str) -> Any:
         raise ScenarioError(path, value, "a finite number") from None
 
 
+def require_kind(field: str, value: Any, kinds: Sequence[type]) -> None:
+    """Refuses what is of none of some classes, a subclass included.
+
+    Nobody could tell what a class that is not known here means.
+
+    Raises:
+        ScenarioError: that names the class.
+    """
+    names = ", ".join(kind.__name__ for kind in kinds)
+    known = type(value) in kinds
+    require(field, type(value).__name__, known, f"one of {names}")
+
+
 def _refuse_tag(value: Any, path: str) -> None:
     if isinstance(value, Section) and value.tag is not None:
         raise ScenarioError(path or "scenario", value.tag, "without a tag")
@@ -96,10 +109,10 @@ def _one_of(options: list[Any], value: Any, path: str) -> Any:
             if tag == f"!{option.__name__}":
                 return _filled(option, value, path)
         raise ScenarioError(path, tag, f"one of {names}")
-    # Of a class that is derived from one of them nobody knows what it means.
-    if type(value) in options:
-        return _filled(type(value), value, path)
-    raise ScenarioError(path, value, f"one of {names}, with its fields")
+    if isinstance(value, (str, Real, list)):
+        raise ScenarioError(path, value, f"one of {names}, with its fields")
+    require_kind(path, value, options)
+    return _filled(type(value), value, path)
 
 
 def _filled(schema: Any, value: Any, path: str) -> Any:
