@@ -7,16 +7,14 @@ field, the value and what is allowed, before anything is computed.
 
 import dataclasses
 import math
-import types
 import typing
-from collections.abc import Mapping
 from importlib import resources
+from numbers import Integral
 from pathlib import Path
 from typing import Any, Union
 
 import numpy as np
-import yaml
-from pydrake.common.yaml import yaml_dump_typed, yaml_load_data, yaml_load_typed
+from pydrake.common.yaml import yaml_dump_typed
 
 from dtmpc_drake.models import (
     Array,
@@ -26,6 +24,13 @@ from dtmpc_drake.models import (
     Model,
 )
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Obstacle, ObstacleSet, Sphere
+from dtmpc_drake.scenario_error import ScenarioError
+from dtmpc_drake.scenario_error import require as _require
+from dtmpc_drake.scenario_error import show as _show
+from dtmpc_drake.scenario_ranges import require_magnitudes, require_positive
+from dtmpc_drake.scenario_schema import typed
+from dtmpc_drake.scenario_size import require_affordable, require_trials
+from dtmpc_drake.scenario_text import read_text, read_yaml
 from dtmpc_drake.sensing import BoolArray, range_needed, visible
 from dtmpc_drake.sliding import sliding_variable
 from dtmpc_drake.tube import propagate
@@ -34,24 +39,6 @@ SHIPPED = resources.files("dtmpc_drake") / "scenarios"
 
 # Drake's YAML reads tagged unions of the old spelling only.
 ModelConfig = Union[DragDoubleIntegrator, IntegratorChain]  # noqa: UP007
-
-
-class ScenarioError(ValueError):
-    """Bad input: one line that names the field, the value and what is allowed."""
-
-    def __init__(self, field: str, value: Any, allowed: str) -> None:
-        self.field, self.value, self.allowed = field, value, allowed
-        super().__init__(f"{field}: got {_show(value)}, but it must be {allowed}")
-
-
-def _show(value: Any) -> str:
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
-    if isinstance(value, float):
-        return f"{value:g}"
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_show(v) for v in value) + "]"
-    return repr(value)
 
 
 def _three(value: float) -> Any:
@@ -403,6 +390,18 @@ class Scenario:
                 raise ScenarioError("sensing.range", self.sensing.range, why)
             raise ScenarioError(f"obstacles[{i}].known_from", since, why)
 
+    def require_trials(self, count: int, batch_size: int = 250) -> None:
+        """Refuses more flights than there is memory and time for.
+
+        Args:
+            count: of flights through one disturbance.
+            batch_size: flights side by side in one diagram.
+
+        Raises:
+            ScenarioError: naming ``trials`` or ``batch-size``.
+        """
+        require_trials(self, count, batch_size)
+
     def planning_delay(self) -> float:
         """From a measurement until its plan takes effect, which is at a look, in s."""
         looks = math.ceil(self.planner.compute_delay / self.sensing.period - 1e-9)
@@ -488,24 +487,28 @@ class Scenario:
         Raises:
             ScenarioError: at the first thing that is wrong.
         """
-        self._check_kinds()
-        _check_numbers(self, "")
+        self._check_types()
+        require_magnitudes(self)
         self._check_sizes()
         self._check_ranges()
+        require_affordable(self)
         self._check_together()
 
-    def _check_kinds(self) -> None:
-        require_kind("disturbance", self.disturbance, Disturbance)
-        for i, obstacle in enumerate(self.obstacles):
-            require_kind(f"obstacles[{i}]", obstacle, Obstacle)
-        ok = isinstance(self.model, Model)
-        _require(
-            "model", type(self.model).__name__, ok, "a Model of dtmpc_drake.models"
-        )
+    def _check_types(self) -> None:
+        ok, name = isinstance(self.model, Model), type(self.model).__name__
+        _require("model", name, ok, "a Model of dtmpc_drake.models")
+        # Of a model of one's own nobody knows the fields.
+        own = type(self.model) not in typing.get_args(ModelConfig)
+        known = DragDoubleIntegrator() if own else self.model
+        typed(Scenario, dataclasses.replace(self, model=known), "")
 
     def _check_sizes(self) -> None:
+        for name in ("num_outputs", "order"):
+            size = getattr(self.model, name, None)
+            whole = isinstance(size, Integral) and not isinstance(size, bool)
+            _require(f"model.{name}", size, whole, "a whole number")
         m, n = self.model.num_outputs, self.model.order
-        _require("model.num_outputs", m, m >= 1, "at least 1")
+        _require("model.num_outputs", m, 1 <= m <= 1000, "at least 1, at most 1000")
         _require("model.order", n, 1 <= n <= 10, "in [1, 10]")
         lists = {
             "disturbance.bound": self.disturbance.bound,
@@ -535,8 +538,9 @@ class Scenario:
                 lists[f"{name}.center"] = obstacle.center
             if isinstance(obstacle, Ellipsoid):
                 H = obstacle.shape
-                ok = len(H) >= 1 and all(len(row) == m for row in H)
-                _require(f"{name}.shape", H, ok, f"rows of {m} numbers each")
+                ok = 1 <= len(H) <= 100 and all(len(row) == m for row in H)
+                rows = f"rows of {m} numbers each, at most 100"
+                _require(f"{name}.shape", H, ok, rows)
                 _require(
                     f"{name}.shape", H, bool(np.any(H)), "a matrix that is not zero"
                 )
@@ -569,7 +573,7 @@ class Scenario:
             if seconds is not None:
                 positive[f"disturbance.{name}"] = (seconds, "s")
         for field, (value, unit) in positive.items():
-            _require(field, value, value > 0, f"greater than 0 {unit}")
+            require_positive(field, value, unit)
         for i, obstacle in enumerate(self.obstacles):
             since, field = obstacle.known_from or 0.0, f"obstacles[{i}].known_from"
             ok = 0 <= since < self.duration
@@ -608,7 +612,8 @@ class Scenario:
             "planner.intervals", N, low <= N <= 1000, f"a whole number in [{low}, 1000]"
         )
         iterations = self.planner.max_iterations
-        _require("planner.max_iterations", iterations, iterations >= 1, "at least 1")
+        ok = 1 <= iterations <= 10_000
+        _require("planner.max_iterations", iterations, ok, "at least 1, at most 10000")
         choices = {
             "planner.backend": ("clarabel", "ipopt"),
             "planner.tube_margin": ("norm", "support"),
@@ -623,7 +628,13 @@ class Scenario:
             _require(field, value, value in allowed, "one of " + ", ".join(allowed))
         name_ok = self.name.isprintable() and not set(self.name) & set("/\\")
         name_ok = name_ok and self.name not in ("", ".", "..")
-        _require("name", self.name, name_ok, "a file name, without slashes")
+        name_ok = name_ok and len(self.name.encode()) <= 200
+        _require(
+            "name",
+            self.name,
+            name_ok,
+            "a file name of at most 200 bytes, without slashes",
+        )
         for name in self.plant:
             names = ", ".join(self.model.parameter_names) or "nothing"
             known = name in self.model.parameter_names
@@ -718,14 +729,15 @@ class Scenario:
         No plan has a smaller one.
         """
         b = self.controller.bandwidth
-        m, n, half = self.model.num_outputs, self.model.order, 401
+        m, n, alpha = self.model.num_outputs, self.model.order, b.fixed or b.max
         # After ten time constants nothing is left of the start.
-        rates = [*self.controller.slope, b.max]
+        rates = [*self.controller.slope, alpha]
         span = min(self.duration, 10 * n / min(rates))
+        half = 2 * int(np.clip(span * max(rates), 200, 2000)) + 1
         tube = propagate(
             model=IntegratorChain(m, n, 0.0),
             reference=np.zeros((half, n, m)),
-            bandwidth=np.full((half, m), b.fixed or b.max),
+            bandwidth=np.full((half, m), alpha),
             slope=self.slope(),
             disturbance_bound=self.disturbance_bound(),
             reaching_rate=self.controller.reaching_rate,
@@ -740,12 +752,11 @@ class Scenario:
         """The scenario as a file that `load_scenario` reads.
 
         Raises:
-            ScenarioError: if something is of a class that no file can name, such as
+            ScenarioError: if something is of a type that no file can name, such as
                 a model of your own: it would be written as a similar one.
         """
-        self._check_kinds()
-        require_kind("model", self.model, ModelConfig)
-        return str(yaml_dump_typed(self, schema=Scenario))
+        self._check_types()
+        return str(yaml_dump_typed(typed(Scenario, self, ""), schema=Scenario))
 
     def __repr__(self) -> str:
         """Names what a reader wants to know first."""
@@ -757,50 +768,11 @@ class Scenario:
         )
 
 
-def _require(field: str, value: Any, ok: bool, allowed: str) -> None:
-    if not ok:
-        raise ScenarioError(field, value, allowed)
-
-
-def require_kind(field: str, value: Any, union: Any) -> None:
-    """Refuses what is none of the classes of a union, a subclass included.
-
-    Nobody could tell what a class that is not known here means.
-
-    Raises:
-        ScenarioError: that names the class.
-    """
-    kinds = typing.get_args(union)
-    names = ", ".join(kind.__name__ for kind in kinds)
-    _require(field, type(value).__name__, type(value) in kinds, f"one of {names}")
-
-
 def _integration_schemes() -> tuple[str, ...]:
     from pydrake.systems.analysis import GetIntegrationSchemes
 
     # CENIC is for multibody plants only.
     return tuple(name for name in GetIntegrationSchemes() if name != "cenic")
-
-
-def _check_numbers(value: Any, path: str) -> None:
-    """Every float in the scenario must be finite."""
-    if isinstance(value, bool) or value is None:
-        return
-    if isinstance(value, (float, int)):
-        _require(path, value, math.isfinite(value), "a finite number")
-    elif dataclasses.is_dataclass(value):
-        for field in dataclasses.fields(value):
-            _check_numbers(getattr(value, field.name), _join(path, field.name))
-    elif isinstance(value, Mapping):
-        for key, item in value.items():
-            _check_numbers(item, _join(path, key))
-    elif isinstance(value, (list, tuple, np.ndarray)):
-        for i, item in enumerate(value):
-            _check_numbers(item, f"{path}[{i}]")
-
-
-def _join(path: str, name: str) -> str:
-    return f"{path}.{name}" if path else name
 
 
 # Reading files.
@@ -828,9 +800,9 @@ def load_scenario(source: str | Path) -> Scenario:
         text = (SHIPPED / f"{source}.yaml").read_text(encoding="utf-8")
     else:
         try:
-            text = Path(source).read_text(encoding="utf-8")
+            text = read_text(source)
         except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or "not a text file"
+            reason = getattr(error, "strerror", None) or error
             names = ", ".join(shipped_scenarios())
             raise ScenarioError(
                 "scenario",
@@ -842,132 +814,9 @@ def load_scenario(source: str | Path) -> Scenario:
 
 def parse_scenario(text: str) -> Scenario:
     """Builds and validates a scenario from YAML text; errors as `load_scenario`."""
-    try:
-        data = yaml_load_data(text)
-    except (yaml.YAMLError, AttributeError, TypeError, ValueError) as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f"line {mark.line + 1}" if mark else "the file"
-        what = getattr(error, "problem", None) or getattr(error, "reason", None)
-        if isinstance(error, ValueError):
-            what = str(error)
-        what = what or "a name that is not text"
-        raise ScenarioError(where, what, "valid YAML") from None
-    _check_repetitions(yaml.compose(text, Loader=yaml.SafeLoader), "")
-    data = _checked(Scenario, data, "")
-    scenario: Scenario = yaml_load_typed(
-        schema=Scenario, data=yaml.dump(data, Dumper=_TagDumper)
-    )
+    scenario: Scenario = typed(Scenario, read_yaml(text), "")
     scenario.validate()
     return scenario
-
-
-def _check_repetitions(node: yaml.Node | None, path: str) -> None:
-    """YAML keeps the last of two fields of one name, and says nothing."""
-    if isinstance(node, yaml.MappingNode):
-        seen: set[str] = set()
-        for key, value in node.value:
-            name = _join(path, str(key.value))
-            again = f"a second one on line {key.start_mark.line + 1}"
-            _require(name, again, name not in seen, "given once")
-            seen.add(name)
-            _check_repetitions(value, name)
-    elif isinstance(node, yaml.SequenceNode):
-        for i, item in enumerate(node.value):
-            _check_repetitions(item, f"{path}[{i}]")
-
-
-class _TagDumper(yaml.SafeDumper):
-    """Writes the ``_tag`` entries of Drake's reader back as YAML tags."""
-
-
-def _represent_mapping(dumper: yaml.SafeDumper, data: dict[str, Any]) -> yaml.Node:
-    tag = data.get("_tag", "tag:yaml.org,2002:map")
-    rest = {k: v for k, v in data.items() if k != "_tag"}
-    return dumper.represent_mapping(tag, rest)
-
-
-_TagDumper.add_representer(dict, _represent_mapping)
-
-
-def _checked(schema: Any, value: Any, path: str) -> Any:
-    """The value with every type checked against the schema, defaults untouched.
-
-    Drake's reader does the same, but its errors do not say where they are.
-    """
-    origin, args = typing.get_origin(schema), typing.get_args(schema)
-    if origin in (Union, types.UnionType):
-        if value is None and type(None) in args:
-            return None
-        options = [a for a in args if a is not type(None)]
-        if len(options) > 1:
-            return _checked_union(options, value, path)
-        return _checked(options[0], value, path)
-    if origin is list:
-        if not isinstance(value, list):
-            raise ScenarioError(path, value, "a list")
-        return [_checked(args[0], v, f"{path}[{i}]") for i, v in enumerate(value)]
-    if origin is dict:
-        if not isinstance(value, Mapping):
-            raise ScenarioError(path, value, "a mapping of names to values")
-        if "_tag" in value:
-            raise ScenarioError(path, value["_tag"], "a mapping without a tag")
-        return {k: _checked(args[1], v, _join(path, str(k))) for k, v in value.items()}
-    if dataclasses.is_dataclass(schema):
-        return _checked_fields(schema, value, path)
-    if schema is float and isinstance(value, str):
-        try:  # YAML 1.1 reads 1e-3 as text
-            value = float(value)
-        except ValueError:
-            raise ScenarioError(path, value, "a number") from None
-    kinds = {float: (float, int), int: (int,), str: (str,), bool: (bool,)}
-    names = {float: "a number", int: "a whole number", str: "text", bool: "true/false"}
-    wrong_bool = isinstance(value, bool) and schema is not bool
-    if not isinstance(value, kinds[schema]) or wrong_bool:
-        raise ScenarioError(path, value, names[schema])
-    try:
-        return float(value) if schema is float else value
-    except OverflowError:
-        raise ScenarioError(path, value, "a finite number") from None
-
-
-def _checked_union(options: list[Any], value: Any, path: str) -> Any:
-    names = ", ".join(f"!{o.__name__}" for o in options)
-    if not isinstance(value, Mapping):
-        raise ScenarioError(path, value, f"one of {names}, with its fields")
-    tag = value.get("_tag", f"!{options[0].__name__}")
-    for option in options:
-        if tag == f"!{option.__name__}":
-            rest = {k: v for k, v in value.items() if k != "_tag"}
-            return {"_tag": tag} | _checked_fields(option, rest, path)
-    raise ScenarioError(path, tag, f"one of {names}")
-
-
-# Without these a scenario would say too little to be anybody's intention.
-_REQUIRED = {
-    "": ("start", "goal", "duration"),
-    "start": ("position",),
-    "goal": ("position",),
-}
-
-
-def _checked_fields(schema: Any, value: Any, path: str) -> dict[str, Any]:
-    if not isinstance(value, Mapping):
-        raise ScenarioError(path or "scenario", value, "a mapping of fields")
-    hints = typing.get_type_hints(schema)
-    fields = {f.name: hints[f.name] for f in dataclasses.fields(schema)}
-    for key, item in value.items():
-        if key not in fields:
-            allowed = ", ".join(fields) or "empty"
-            raise ScenarioError(
-                _join(path, str(key)), item, f"left out; the fields here are {allowed}"
-            )
-    required = _REQUIRED.get(path, ())
-    if path.startswith("obstacles["):
-        required = ("center", "radius")
-    for key in required:
-        if key not in value:
-            raise ScenarioError(_join(path, key), None, "given: it is missing")
-    return {k: _checked(fields[k], v, _join(path, k)) for k, v in value.items()}
 
 
 __all__ = [
@@ -994,6 +843,5 @@ __all__ = [
     "WorstCase",
     "load_scenario",
     "parse_scenario",
-    "require_kind",
     "shipped_scenarios",
 ]

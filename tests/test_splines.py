@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+from math import comb, factorial
+
 import numpy as np
 import pytest
 import scipy.interpolate
@@ -13,6 +16,8 @@ from dtmpc_drake.models import Array
 from dtmpc_drake.planning import splines
 
 degrees = st.integers(1, 5)
+"""For which scipy's and the tests' own arithmetic is exact enough."""
+all_degrees = st.integers(1, 11)
 counts = st.integers(1, 12)
 seeds = st.integers(0, 2**32 - 1)
 steps = st.floats(0.1, 3)
@@ -23,6 +28,23 @@ def draw(degree: int, intervals: int, seed: int) -> Array:
     return np.random.default_rng(seed).normal(size=(intervals + degree, 2))
 
 
+def exact_pieces(degree: int) -> list[list[Fraction]]:
+    """The B-spline on the knots 0, 1, ..., degree + 1, piece by piece, exactly.
+
+    By truncated powers: ``Σ_k (-1)^k C(d + 1, k) (x - k)_+^d / d!``.
+    """
+    pieces = []
+    for piece in range(degree + 1):
+        powers = [Fraction(0)] * (degree + 1)
+        for k in range(piece + 1):
+            sign = (-1) ** k * comb(degree + 1, k)
+            for p in range(degree + 1):
+                power = comb(degree, p) * (piece - k) ** (degree - p)
+                powers[p] += Fraction(sign * power, factorial(degree))
+        pieces.append(powers)
+    return pieces
+
+
 def reference(
     coefficients: Array, degree: int, step: float
 ) -> scipy.interpolate.BSpline:
@@ -31,11 +53,30 @@ def reference(
     return scipy.interpolate.BSpline(knots, coefficients, degree)
 
 
-@given(degree=degrees, points=st.lists(st.floats(0, 1), min_size=1, max_size=5))
+@given(degree=all_degrees, points=st.lists(st.floats(0, 1), min_size=1, max_size=5))
 def test_the_basis_is_a_partition_of_unity(degree: int, points: list[float]) -> None:
     values = splines.basis(degree, 0, np.array(points), 0.7)
     assert values.sum(axis=1) == pytest.approx(np.ones(len(points)))
     assert (values >= -1e-12).all()
+
+
+@pytest.mark.parametrize("degree", range(1, 15))
+def test_every_piece_is_the_b_spline_rounded_once(degree: int) -> None:
+    """The j-th coefficient acts through the piece that is j before the last."""
+    exact = [[float(x) for x in powers] for powers in exact_pieces(degree)]
+    assert splines.piece_powers(degree).T.tolist() == exact[::-1]
+
+
+@pytest.mark.parametrize("degree", range(1, 12))
+def test_pieces_join_in_all_derivatives_but_the_last(degree: int) -> None:
+    for k in range(degree):
+        start, end = splines.basis(degree, k, np.array([0.0, 1.0]), 1.0)
+        scale = np.abs(splines.derivative_powers(splines.piece_powers(degree), k))
+        # The next piece reads the same coefficients one place earlier.
+        slack = 1e-15 * degree * scale.sum()
+        assert end[1:] == pytest.approx(start[:-1], abs=slack)
+        assert end[0] == pytest.approx(0, abs=slack)
+        assert start[-1] == pytest.approx(0, abs=slack)
 
 
 @given(degree=degrees, intervals=counts, step=steps, seed=seeds)
@@ -68,16 +109,19 @@ def test_piece_coefficients_are_powers_of_the_time_since_the_piece_began(
             assert found == pytest.approx(exact[:, axis], abs=1e-9)
 
 
-@given(degree=degrees, intervals=counts, step=steps, seed=seeds)
+@given(degree=all_degrees, intervals=counts, step=steps, seed=seeds)
 def test_a_refined_spline_is_the_same_function(
     degree: int, intervals: int, step: float, seed: int
 ) -> None:
     coefficients = draw(degree, intervals, seed)
     fine = splines.refine(coefficients, degree)
     assert fine.shape == (2 * intervals + degree, 2)
-    t = np.linspace(0, intervals * step, 50)[:-1]
-    found = reference(fine, degree, step / 2)(t)
-    assert found == pytest.approx(reference(coefficients, degree, step)(t), abs=1e-9)
+    local = np.array([0.0, 0.3, 0.5, 0.8])
+    coarse = splines.basis(degree, 0, local / 2, step)
+    coarse = np.concatenate([coarse, splines.basis(degree, 0, (1 + local) / 2, step)])
+    before = coarse @ splines.windows(coefficients, degree)
+    after = splines.basis(degree, 0, local, step / 2) @ splines.windows(fine, degree)
+    assert after.reshape(before.shape) == pytest.approx(before, abs=1e-12)
 
 
 @given(degree=degrees, intervals=counts, step=steps, seed=seeds)

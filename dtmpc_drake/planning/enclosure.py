@@ -24,6 +24,9 @@ from dtmpc_drake.tube import cascade_bound, comparison_forcing, propagate_cascad
 
 THINNEST = 1e-12
 """Boundary layer that is divided by, in m/s; one so thin is no layer at all."""
+_MOST, _LONGEST = 2**19, 16e-3
+"""About so many intervals are enough, unless they are longer than this, in s: a flight
+of half an hour is not enclosed on millions of them, which takes gigabytes."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -254,6 +257,7 @@ class _Pieces:
         if not plan.is_uniform:
             raise ValueError("a plan's knots must be equally spaced, and so its tube")
         steps, span = len(plan.tube_times) - 1, plan.end_time - plan.start_time
+        longest = max(longest, min(_LONGEST, span / _MOST))
         parts = 1
         while span / steps / parts > longest:
             parts *= 2

@@ -50,6 +50,8 @@ ROTATION = 1.0
 """Weight of a half-plane's rotation, in place of its second-order loss."""
 NEXT_TO_NOTHING = 1e-4
 """Weight of moves, which are bounded from below only."""
+GROUP = 100
+"""So many moves or rotations share a cost."""
 SECANT = 0.1
 """Half-width of the differences along the state, in its units.  Model errors
 often have a kink at rest; a derivative would not see it, a secant does."""
@@ -171,18 +173,21 @@ class Program:
         )
         # The cost is quadratic in coefficients and bandwidth, linear elsewhere.
         self._costs = {}
-        for name in ("coefficients", "bandwidth", "moves", "rotation"):
+        for name in ("coefficients", "bandwidth"):
             block = z[v.blocks[name]]
-            if not len(block):
-                continue
             self._costs[name] = self.program.AddQuadraticCost(
                 np.eye(len(block)), np.zeros(len(block)), block, is_convex=True
             )
         for name, weight in (("moves", NEXT_TO_NOTHING), ("rotation", ROTATION)):
-            if name in self._costs:
-                count = v.blocks[name].stop - v.blocks[name].start
-                self._costs[name].evaluator().UpdateCoefficients(
-                    2 * weight * np.eye(count), np.zeros(count), 0.0, is_convex=True
+            block = z[v.blocks[name]]
+            # A cost's matrix is dense, so there is one for every few variables.
+            for first in range(0, len(block), GROUP):
+                group = block[first : first + GROUP]
+                self.program.AddQuadraticCost(
+                    2 * weight * np.eye(len(group)),
+                    np.zeros(len(group)),
+                    group,
+                    is_convex=True,
                 )
         self._slack_cost = self.program.AddLinearCost(np.ones(1), z[-1:])
         self._z = z
@@ -237,6 +242,13 @@ class Program:
         self._hard_margin = margins(iterate, iterate.planes)
         rows.add(np.ones((1, 1)), np.array([[self.variables.size - 1]]), 0.0, np.inf)
         self._matrix, self._low, high = rows.assemble()
+        # Drake ends the process at a number that is none.
+        bounds = np.append(self._low, high)
+        self._finite = bool(
+            np.isfinite(self._matrix.data).all() and not np.isnan(bounds).any()
+        )
+        if not self._finite:
+            return
         self._constraint.evaluator().UpdateCoefficients(
             sp.csc_matrix(self._matrix), self._low, high
         )
@@ -549,6 +561,8 @@ class Program:
 
     def solve(self, deadline: Deadline = NEVER) -> tuple[Array | None, str]:
         """The step z, or None, and the solver's status."""
+        if not self._finite:
+            return None, "numbers that are too large"
         status = ""
         own = SolverOptions()
         # Fast options first; Clarabel's own where they are not good enough.

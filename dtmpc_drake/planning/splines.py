@@ -9,11 +9,10 @@ control point depends on n + 2 neighbouring coefficients.
 from __future__ import annotations
 
 from functools import lru_cache
-from math import comb
+from math import comb, factorial
 from typing import Any
 
 import numpy as np
-import scipy.interpolate
 import scipy.sparse as sp
 
 from dtmpc_drake.models import Array
@@ -24,21 +23,26 @@ Sparse = Any
 
 @lru_cache
 def piece_powers(degree: int) -> Array:
-    """One piece in powers of the local time in [0, 1].
+    """One piece in powers of the local time t in [0, 1].
+
+    The Cox-de Boor recursion on equally spaced knots: of the degree d, the j-th of
+    the coefficients that act on a piece has the weight
+    ``b_j^d = ((t + d - j) b_(j-1)^(d-1) + (j + 1 - t) b_j^(d-1)) / d``.
+    Times d! all of them have whole coefficients, so that only the last division
+    rounds.
 
     Returns:
         ``(degree + 1 powers, degree + 1 coefficients)``: column j belongs to the
         j-th of the coefficients that act on the piece.
     """
-    element = scipy.interpolate.BSpline.basis_element(
-        np.arange(degree + 2.0), extrapolate=False
-    )
-    polynomials = scipy.interpolate.PPoly.from_spline(element)
-    # PPoly has the highest power first, and pieces outside the support.
-    starts = polynomials.x[:-1]
-    support = (np.diff(polynomials.x) > 0) & (starts >= 0) & (starts <= degree)
-    pieces = polynomials.c[:, support]
-    return np.asarray(pieces[::-1, ::-1])
+    weights = np.ones((1, 1))
+    for d in range(1, degree + 1):
+        j = np.arange(d + 1.0)
+        # Rows 1 to d are the powers; columns j and j + 1 are b_(j-1) and b_j.
+        below = np.pad(weights, 1)
+        earlier, later = below[:, :-1], below[:, 1:]
+        weights = (d - j) * earlier[1:] + (j + 1) * later[1:] + (earlier - later)[:-1]
+    return weights / factorial(degree)
 
 
 def derivative_powers(powers: Array, derivative: int) -> Array:

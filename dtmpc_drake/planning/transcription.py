@@ -175,7 +175,10 @@ class Transcription:
         middle = (low + high) / 2
         self.bandwidth_low = np.minimum(low * (1 + HAIR), middle)
         self.bandwidth_high = np.maximum(high * (1 - HAIR), middle)
-        self.bandwidth_change = problem.bandwidth_rate_max * self.step * (1 - HAIR)
+        # A limit beyond the whole range is none, and only spoils the scale.
+        self.bandwidth_change = (1 - HAIR) * min(
+            problem.bandwidth_rate_max * self.step, float(high.max())
+        )
         # Runge-Kutta steps of at most the fastest filter's time constant.
         fastest = float((problem.bandwidth_max + self.order * problem.slope).max())
         self.substeps = 2

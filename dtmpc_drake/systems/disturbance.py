@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import ClassVar, assert_never
+from typing import ClassVar, assert_never, get_args
 
 import numpy as np
 from pydrake.common import RandomDistribution
@@ -41,8 +41,8 @@ from dtmpc_drake.scenario import (
     Gust,
     UniformHold,
     WorstCase,
-    require_kind,
 )
+from dtmpc_drake.scenario_schema import require_kind
 from dtmpc_drake.systems.gusts import Gusts
 from dtmpc_drake.systems.model_error import ModelError
 from dtmpc_drake.systems.relay import Relay
@@ -86,7 +86,7 @@ def MakeDisturbance(
     Raises:
         ScenarioError: if the disturbance is of no class that is known here.
     """
-    require_kind("disturbance", config, Disturbance)
+    require_kind("disturbance", config, get_args(Disturbance))
     builder = DiagramBuilder()
     count = None if trials is None else len(trials)
     parts = _Parts(builder, model, slope, count, duration)
