@@ -83,8 +83,12 @@ def simulate(
         typer.Option(metavar="clarabel|ipopt", help="Solver, instead of the file's."),
     ] = None,
 ) -> None:
-    """Plan a scenario, fly it, and write replay, figures and numbers."""
-    from diagrams.experiment import run
+    """Plan a scenario, fly it, and write replay, figures and numbers.
+
+    Exits with 0 if the plan is certified and its flight kept layer, tubes, limits
+    and obstacles at every step of the integrator, else with 3.
+    """
+    from diagrams.experiment import flight_verdict, run
     from dtmpc_drake.planning import Iteration
     from dtmpc_drake.planning.planner import table_header, table_row
 
@@ -100,7 +104,9 @@ def simulate(
         experiment = run(chosen, out, report=report)
     console.print()
     console.print(repr(experiment), markup=False)
-    if not experiment.result.certified:
+    if not experiment.safe:
+        if experiment.breaches:
+            _say(f"{chosen.name}: {flight_verdict(experiment.breaches)}")
         raise typer.Exit(NOT_CERTIFIED)
 
 
@@ -299,9 +305,14 @@ def _flights(
         yield start, done
 
 
+def _say(message: str) -> None:
+    """One line on the standard error."""
+    print(" ".join(message.split()), file=sys.stderr)
+
+
 def _refuse(message: str) -> NoReturn:
     """Ends with one line on the standard error."""
-    print(" ".join(message.split()), file=sys.stderr)
+    _say(message)
     raise typer.Exit(BAD_INPUT)
 
 

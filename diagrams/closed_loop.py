@@ -25,6 +25,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
 from diagrams.live_view import LiveView
+from dtmpc_drake import verdict
 from dtmpc_drake.models import Array
 from dtmpc_drake.monte_carlo import Trial
 from dtmpc_drake.plan import Plan
@@ -73,8 +74,8 @@ def MakeClosedLoop(
 
     Returns:
         A diagram named ``closed_loop`` that exports the output ports `state`,
-        `control`, `reference`, `plan`, `status`, `disturbance`, `tube_ratios`
-        and `clearance`; if there may be more plans than one, `known_since` and
+        `control`, `reference`, `plan`, `status`, `disturbance`, `tube_ratios`,
+        `clearance` and `record`; if there may be more plans than one, `known_since` and
         `replans`, too; if the disturbance chooses it, `model_error`.  See the
         systems for their meaning.
 
@@ -135,9 +136,10 @@ def MakeClosedLoop(
         scenario=scenario,
         state=outputs["state"],
         plan=outputs["plan"],
+        control=outputs["control"],
         trials=count,
     )
-    for name in ("tube_ratios", "clearance"):
+    for name in ("tube_ratios", "clearance", "record"):
         outputs[name] = monitor.GetOutputPort(name)
 
     if trials is None:
@@ -177,6 +179,8 @@ def MakeClosedLoop(
 class Log:
     """What the exported ports said, every `LOG_PERIOD` and at the end.
 
+    Only `record` looks more often: at every step of the integrator.
+
     The log of many trials has an axis for them after the time, except in
     `reference`, which they share.
 
@@ -189,6 +193,8 @@ class Log:
         tube_ratios: |s|/Φ, |ỹ|/Ω and |dỹ/dt|/W, ``(K, 3, m)``.
         clearance: to each obstacle, ``(K, obstacles)`` in m; one column of
             infinities without obstacles.
+        record: of `dtmpc_drake.verdict`, ``(6, 7)``: the worst of everything that was
+            seen at any step of the integrator, and what broke first.
         status: of the planner at the end.
         known_since: when each obstacle became known, ``(obstacles,)`` in s;
             infinite where it never was.
@@ -203,6 +209,7 @@ class Log:
     disturbance: Array
     tube_ratios: Array
     clearance: Array
+    record: Array
     status: str
     known_since: Array
     replans: tuple[Replan, ...] = ()
@@ -216,28 +223,32 @@ class Log:
 
     def trial(self, row: int) -> Log:
         """The log of one of many trials."""
-        own = {name: getattr(self, name)[:, row] for name in _OF_EACH_TRIAL}
+        names = (*_OF_EACH_TRIAL, "record")
+        own = {name: getattr(self, name)[:, row] for name in names}
         return dataclasses.replace(self, **own)
 
     def extremes(self) -> dict[str, float]:
-        """The worst that was seen, by name.
+        """The worst that was seen at any step of the integrator, by name.
 
         The speed is the largest along any axis, as in the scenario's limit; it
         is taken from differences of the position where it is no state (n = 1).
         """
-        if self.state.shape[-2] > 1:
-            speed = self.state[..., 1, :]
-        else:
-            speed = np.diff(self.position, axis=0).T / np.diff(self.time)
-        worst = self.tube_ratios.max(axis=-1).reshape(-1, 3).max(axis=0)
-        return {
-            "worst_layer_ratio": float(worst[0]),
-            "worst_position_ratio": float(worst[1]),
-            "worst_velocity_ratio": float(worst[2]),
-            "smallest_clearance": float(self.clearance.min()),
-            "largest_input": float(np.linalg.norm(self.control, axis=-1).max()),
-            "largest_speed": float(np.abs(speed).max()),
-        }
+        return verdict.extremes(self.record)
+
+    def breaches(self, scenario: Scenario) -> tuple[verdict.Breach, ...]:
+        """What a single flight broke, the first before all else; none if it is well.
+
+        Args:
+            scenario: that was flown.
+        """
+        return verdict.breaches(
+            self.record,
+            largest=verdict.largest_kept(
+                input_limit=scenario.limits.input, speed_limit=scenario.limits.speed
+            ),
+            order=scenario.model.order,
+            replans=self.replans,
+        )
 
     def flown_plan(self) -> Plan | None:
         """The plan that was in force at each time, if there could be several."""
@@ -397,7 +408,9 @@ def _run(
         known_since = loop.GetOutputPort("known_since").Eval(inside).copy()
         known_since = known_since[: len(scenario.obstacles)]
         replans = loop.GetOutputPort("replans").Eval(inside)
+    record = loop.GetOutputPort("record").Eval(inside)
     return Log(
+        record=record.reshape(len(verdict.COLUMNS), *lead, len(verdict.QUANTITIES)),
         time=logs["state"].sample_times().copy(),
         status=loop.GetOutputPort("status").Eval(inside),
         known_since=known_since,

@@ -90,11 +90,10 @@ class Row:
                 "tube_largest": tube.max(),
             }
         if flights is not None:
-            outside = (flights.worst_ratios > 1).any(axis=1)
             numbers |= {
                 "flights": len(flights),
                 "collisions": flights.collisions,
-                "violations": int(outside.sum()),
+                "violations": flights.outside,
                 "effort": np.median(flights.effort),
                 "clearance": flights.smallest_clearance.min(),
             }

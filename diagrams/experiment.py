@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -15,6 +15,7 @@ from diagrams.closed_loop import Log, Simulate
 from dtmpc_drake.planning import Iteration, PlanningResult, plan
 from dtmpc_drake.replan import counted, table
 from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.verdict import Breach, in_one_line
 from dtmpc_drake.visualization import (
     plot_candidates,
     plot_histories,
@@ -59,6 +60,16 @@ class Experiment:
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
+    @property
+    def breaches(self) -> tuple[Breach, ...]:
+        """What the flight broke, the first before all else; none if not flown."""
+        return self.log.breaches(self.scenario) if self.log is not None else ()
+
+    @property
+    def safe(self) -> bool:
+        """Whether the plan is certified, and its flight kept all that this means."""
+        return self.result.certified and self.log is not None and not self.breaches
+
     def summary(self) -> dict[str, Any]:
         """The contents of ``summary.json``; see `summarize`."""
         return summarize(self.scenario, self.result, self.log)
@@ -95,6 +106,7 @@ class Experiment:
                 f"{'':16}largest input {seen['largest_input']:.3f} {unit},"
                 f" largest speed {seen['largest_speed']:.3f} m/s",
             ]
+            lines.append(f"flight          {flight_verdict(self.breaches)}")
         if self.log is not None and self.log.replans:
             lines += ["", counted(self.log.replans)]
             lines += [f"  {line}" for line in table(self.log.replans).splitlines()]
@@ -198,6 +210,13 @@ def run(
     return Experiment(scenario, result, log, tuple(files))
 
 
+def flight_verdict(breaches: Sequence[Breach]) -> str:
+    """One line: what a flight broke first, when and by how much."""
+    if not breaches:
+        return "kept layer, tubes, limits and obstacles at every step"
+    return in_one_line(breaches)
+
+
 def color_of(scenario: Scenario) -> ColorBy:
     """What the colours of a plan show: a fixed bandwidth's would say nothing."""
     return "bandwidth" if scenario.controller.bandwidth.fixed is None else "speed"
@@ -211,11 +230,15 @@ def summarize(
     Times are in s; `plan_time_s` is one cold plan, certificate included.
     """
     certificate = result.certificate
+    broken = log.breaches(scenario) if log is not None else ()
     margins = certificate.margins if certificate is not None else {}
     summary = {
         "scenario": scenario.name,
         "status": result.status,
         "certified": bool(result.certified),
+        "flight_ok": None if log is None else not broken,
+        "flight": None if log is None else flight_verdict(broken),
+        "breaches": [dataclasses.asdict(breach) for breach in broken],
         "message": result.message,
         "backend": result.backend,
         "seed": scenario.simulation.seed,

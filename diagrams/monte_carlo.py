@@ -70,7 +70,7 @@ def reduce(log: Log, trials: Sequence[Trial]) -> Flights:
         position=log.position,
         control=log.control,
         tube_ratios=log.tube_ratios,
-        clearance=log.clearance,
+        record=log.record,
     )
 
 
@@ -132,9 +132,10 @@ class MonteCarlo:
 
     @property
     def safe(self) -> bool:
-        """Whether the plan is certified and no trial broke what that means."""
+        """Whether the plan is certified, was flown, and no trial broke anything."""
         flown = self.flights.values()
-        return self.result.certified and all(flight.safe for flight in flown)
+        safe = bool(flown) and all(flight.safe for flight in flown)
+        return self.result.certified and safe
 
     def table(self) -> str:
         """One line a disturbance."""
@@ -147,7 +148,7 @@ class MonteCarlo:
                 [
                     name,
                     *map(str, (len(flown), flown.distinct)),
-                    *map(str, (sum(flown.violations.values()), flown.collisions)),
+                    *map(str, (flown.outside, flown.collisions)),
                     *(f"{ratio:.3f}" for ratio in flown.worst_ratios.max(axis=0)),
                     f"{flown.smallest_clearance.min():.3f}",
                     *(f"{value:.2f}" for value in flown.summary()["effort"].values()),
@@ -225,6 +226,7 @@ def run(
         )
         draw(scenario, result.plan, flights, out)
         save_flights(files[3], flights)
+        files = [file for file in files if file.exists() or file is files[-1]]
     else:
         files = files[-1:]
     write_json(files[-1], to_numbers(scenario, result, flights))
@@ -243,17 +245,25 @@ def to_numbers(
 def draw(
     scenario: Scenario, plan: Plan, flights: Mapping[str, Flights], out: Path
 ) -> None:
-    """Writes the figures and the replay.
+    """Writes the figures and the replay; nothing if no flight is finite.
 
     The vehicle of the replay is the flight that used most of its tube.
 
     Raises:
         OSError: if the directory cannot be written.
     """
+    flights = {name: f for name, f in flights.items() if f.finite.any()}
+    if not flights:
+        return
     labels = {name: name.replace("_", " ") for name in flights}
     # The widest clouds at the bottom.
     wide = sorted(flights, key=lambda name: -flights[name].position_ratio.mean())
-    clouds = {f"{len(flights[n])} × {labels[n]}": flights[n].position for n in wide}
+    clouds = {
+        f"{flights[n].finite.sum()} × {labels[n]}": flights[n].position[
+            flights[n].finite
+        ]
+        for n in wide
+    }
     first = flights[wide[0]]
     color_by = color_of(scenario)
     plot_plan(
@@ -267,12 +277,12 @@ def draw(
         time=first.time,
         ratios={labels[name]: f.position_ratio for name, f in flights.items()},
     ).savefig(out / "quantiles.png")
-    hardest = max(flights.values(), key=lambda f: float(f.worst_ratios[:, 1].max()))
+    hardest = max(flights.values(), key=lambda f: float(f.worst_ratios[f.hardest, 1]))
     write_replay(
         scenario=scenario,
         plan=plan,
         time=first.time,
-        position=hardest.position[hardest.worst_ratios[:, 1].argmax()],
+        position=hardest.position[hardest.hardest],
         path=out / "replay.html",
         color_by=color_by,
         status=f"{sum(map(len, flights.values()))} flights; the worst is drawn large",

@@ -11,10 +11,11 @@ import dataclasses
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 
+from dtmpc_drake import verdict
 from dtmpc_drake.logs import quiet
 from dtmpc_drake.models import Array
 from dtmpc_drake.scenario import (
@@ -287,20 +288,19 @@ class Flights:
         index: numbers of the trials, ``(T,)``.
         seed: of each trial, ``(T,)``.
         parameters: true parameters by name, ``(T,)`` each.
-        worst_ratios: largest |s|/Φ, |ỹ|/Ω and |dỹ/dt|/W, ``(T, 3)``.
-        smallest_clearance: to any obstacle, ``(T,)``, in m.
+        record: of `dtmpc_drake.verdict`, ``(T, 6, 7)``: the worst of everything that
+            was seen at any step of the integrator, and what broke first.
         effort: ∫‖u‖² dt, ``(T,)``.
         time: ``(K,)``, in s, `REPORT_PERIOD` apart.
         position: ``(T, K, m)``.
         position_ratio: |ỹ|/Ω of the worst axis, the largest since the sample
-            before, ``(T, K)``.
+            before, ``(T, K)``; infinite where it is no number.
     """
 
     index: Array
     seed: Array
     parameters: dict[str, Array]
-    worst_ratios: Array
-    smallest_clearance: Array
+    record: Array
     effort: Array
     time: Array
     position: Array
@@ -317,7 +317,7 @@ class Flights:
         position: Array,
         control: Array,
         tube_ratios: Array,
-        clearance: Array,
+        record: Array,
     ) -> Flights:
         """Keeps of a log what is reported.
 
@@ -330,9 +330,10 @@ class Flights:
             position: ``(S, T, m)``.
             control: u, ``(S, T, m)``.
             tube_ratios: ``(S, T, 3, m)``.
-            clearance: ``(S, T, obstacles)``, in m.
+            record: of the flights, ``(6, T, 7)``.
         """
-        worst = tube_ratios.max(axis=-1)
+        used = tube_ratios[:, :, 1].max(axis=-1)
+        used = np.where(np.isnan(used), np.inf, used)
         # The end of each period of the report, and the last sample.
         period = np.round(time / REPORT_PERIOD, 6)
         ends = np.unique(np.searchsorted(period, np.arange(period[-1] + 1)))
@@ -347,12 +348,11 @@ class Flights:
                 name: np.array([trial.parameters[name] for trial in trials])
                 for name in trials[0].parameters
             },
-            worst_ratios=worst.max(axis=0),
-            smallest_clearance=clearance.min(axis=(0, 2)),
+            record=record.swapaxes(0, 1).copy(),
             effort=energy.sum(axis=-1),
             time=time[ends],
             position=position[ends].swapaxes(0, 1).copy(),
-            position_ratio=np.maximum.reduceat(worst[:, :, 1], starts).T.copy(),
+            position_ratio=np.maximum.reduceat(used, starts).T.copy(),
         )
 
     @classmethod
@@ -377,14 +377,49 @@ class Flights:
         return len(self.index)
 
     @property
+    def worst_ratios(self) -> Array:
+        """The largest |s|/Φ, |ỹ|/Ω and |dỹ/dt|/W, ``(T, 3)``."""
+        ratios = slice(verdict.LAYER, verdict.VELOCITY + 1)
+        return np.asarray(self.record[:, verdict.WORST, ratios])
+
+    @property
+    def smallest_clearance(self) -> Array:
+        """To any obstacle, ``(T,)``, in m."""
+        return np.asarray(-self.record[:, verdict.WORST, verdict.OBSTACLES])
+
+    @property
+    def broken(self) -> Array:
+        """Which of `verdict.QUANTITIES` each trial broke, ``(T, 7)``."""
+        return verdict.broken(self.record.swapaxes(0, 1))
+
+    @property
     def violations(self) -> dict[str, int]:
-        """How many trials left the layer or a tube, by its name."""
-        return dict(zip(RATIOS, map(int, (self.worst_ratios > 1).sum(0)), strict=True))
+        """How many trials broke anything but an obstacle, by its name."""
+        counts = map(int, self.broken.sum(axis=0))
+        named = dict(zip(verdict.QUANTITIES, counts, strict=True))
+        del named["obstacles"]
+        return named
+
+    @property
+    def outside(self) -> int:
+        """How many trials broke any of `violations`."""
+        others = np.arange(len(verdict.QUANTITIES)) != verdict.OBSTACLES
+        return int(self.broken[:, others].any(axis=1).sum())
 
     @property
     def collisions(self) -> int:
         """How many trials touched an obstacle."""
-        return int((self.smallest_clearance <= 0).sum())
+        return int(self.broken[:, verdict.OBSTACLES].sum())
+
+    @property
+    def finite(self) -> Array:
+        """Which trials have a position at every time, ``(T,)``."""
+        return np.asarray(np.isfinite(self.position).all(axis=(1, 2)))
+
+    @property
+    def hardest(self) -> int:
+        """The row of the trial that used most of its tube, among `finite` ones."""
+        return int(np.where(self.finite, self.worst_ratios[:, 1], -1.0).argmax())
 
     @property
     def distinct(self) -> int:
@@ -393,17 +428,24 @@ class Flights:
 
     @property
     def safe(self) -> bool:
-        """Whether no trial left its tube or touched anything."""
-        return not any(self.violations.values()) and not self.collisions
+        """Whether there are trials, and none broke or touched anything."""
+        return len(self) > 0 and not self.broken.any()
 
     def quantiles(self) -> Array:
         """Of |ỹ|/Ω over the trials, at every time, ``(len(QUANTILES), K)``."""
-        return np.asarray(np.quantile(self.position_ratio, QUANTILES, axis=0))
+        # Between a finite and an infinite one there is nothing to interpolate.
+        finite = bool(np.isfinite(self.position_ratio).all())
+        method: Literal["linear", "higher"] = "linear" if finite else "higher"
+        return np.asarray(
+            np.quantile(self.position_ratio, QUANTILES, axis=0, method=method)
+        )
 
     def arrays(self) -> dict[str, Array]:
         """Everything as arrays by name, to be saved."""
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         parameters = fields.pop("parameters")
+        for name in ("worst_ratios", "smallest_clearance"):
+            fields[name] = getattr(self, name)
         return fields | {f"parameter_{n}": v for n, v in parameters.items()}
 
     def summary(self) -> dict[str, Any]:
@@ -414,6 +456,7 @@ class Flights:
             "trials": len(self),
             "distinct": self.distinct,
             "violations": self.violations,
+            "trials_with_violations": self.outside,
             "collisions": self.collisions,
             "worst_ratios": dict(
                 zip(RATIOS, map(float, self.worst_ratios.max(axis=0)), strict=True)
@@ -431,7 +474,7 @@ class Flights:
         layer, position, velocity = self.worst_ratios.max(axis=0)
         return (
             f"Flights({len(self)} trials, {self.distinct} distinct, "
-            f"{sum(self.violations.values())} violations, "
+            f"{self.outside} with violations, "
             f"{self.collisions} collisions, worst |s|/Φ {layer:.3f}, |ỹ|/Ω "
             f"{position:.3f}, |dỹ/dt|/W {velocity:.3f}, clearance "
             f"{self.smallest_clearance.min():.3f} m)"
@@ -439,8 +482,11 @@ class Flights:
 
 
 def _quantiles(values: Array) -> dict[str, float]:
+    """Of those that are finite; no numbers if none is."""
     names = ["smallest", "median", "largest"]
-    return dict(zip(names, map(float, np.quantile(values, (0, 0.5, 1))), strict=True))
+    finite = values[np.isfinite(values)]
+    found = np.quantile(finite, (0, 0.5, 1)) if len(finite) else np.full(3, np.nan)
+    return dict(zip(names, map(float, found), strict=True))
 
 
 def save_flights(path: str | Path, flights: Mapping[str, Flights]) -> None:

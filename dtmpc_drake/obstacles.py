@@ -207,7 +207,9 @@ class ObstacleSet:
         """
         offset = self.offsets(position)
         tube = np.broadcast_to(position_tube, np.shape(position))
-        if margin == "norm":
+        if not np.any(position_tube):
+            distance = np.linalg.norm(offset, axis=-1)
+        elif margin == "norm":
             radii = self.tube_radii(tube)
             distance = np.linalg.norm(offset, axis=-1) - np.linalg.norm(radii, axis=-1)
         else:

@@ -6,6 +6,7 @@ import dataclasses
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 from itertools import pairwise
 from math import comb, factorial
 from pathlib import Path
@@ -121,11 +122,8 @@ class Plan:
             Shape ``(..., n + 1, m)``; row k is the k-th derivative.
         """
         t, piece = _locate(self.knots, time)
-        powers = len(self.coefficients[0])
-        basis = np.zeros((*t.shape, self.order + 1, powers))
-        for k in range(self.order + 1):
-            for p in range(k, powers):
-                basis[..., k, p] = factorial(p) / factorial(p - k) * t ** (p - k)
+        factor, exponent = _derivatives(self.order + 1, self.coefficients.shape[1])
+        basis = factor * t[..., None, None] ** exponent
         return np.asarray(basis @ self.coefficients[piece])
 
     def bandwidth(self, time: FloatArray | float) -> FloatArray:
@@ -146,13 +144,10 @@ class Plan:
     def layer(self, time: FloatArray | float) -> tuple[FloatArray, FloatArray]:
         """Φ* and dΦ*/dt in one look-up."""
         t, step = _locate(self.tube_times, time)
-        order = np.arange(self.layer_coefficients.shape[1])
-        powers = t[..., None] ** order
-        slopes = np.zeros_like(powers)
-        slopes[..., 1:] = order[1:] * powers[..., :-1]
-        pieces = self.layer_coefficients[step]
-        value = (powers[..., None, :] @ pieces)[..., 0, :]
-        return np.asarray(value), np.asarray((slopes[..., None, :] @ pieces)[..., 0, :])
+        factor, exponent = _derivatives(2, self.layer_coefficients.shape[1])
+        basis = factor * t[..., None, None] ** exponent
+        both = basis @ self.layer_coefficients[step]
+        return both[..., 0, :], both[..., 1, :]
 
     def error_bound(self, time: FloatArray | float) -> FloatArray:
         """Bounds of ``|ỹ^(k)|``, k < n, shape ``(..., n, m)``."""
@@ -414,6 +409,17 @@ def _shifted(coefficients: FloatArray, shift: float) -> FloatArray:
             for k in range(powers)
         ]
     )
+
+
+@lru_cache
+def _derivatives(count: int, powers: int) -> tuple[FloatArray, FloatArray]:
+    """Factors and exponents of the derivatives of ``t^p``, ``(count, powers)`` each."""
+    factor, exponent = np.zeros((2, count, powers))
+    for k in range(count):
+        for p in range(k, powers):
+            factor[k, p] = factorial(p) / factorial(p - k)
+            exponent[k, p] = p - k
+    return factor, exponent
 
 
 def _locate(

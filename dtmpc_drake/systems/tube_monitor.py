@@ -5,8 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import DiagramBuilder, LeafSystem, OutputPort
+from pydrake.systems.framework import (
+    DiagramBuilder,
+    EventStatus,
+    LeafSystem,
+    OutputPort,
+)
 
+from dtmpc_drake import verdict
 from dtmpc_drake.models import Array
 from dtmpc_drake.plan import Plan
 from dtmpc_drake.scenario import Scenario
@@ -15,6 +21,9 @@ from dtmpc_drake.systems.plan_port import DeclarePlanInputPort, EvalPlan
 
 _WIDENING = 1e-6
 """Added to every bound (in m or m/s), so that 0/0 at the start counts as 0."""
+_SHORTEST = 1e-6
+"""Time over which a speed may be taken from two positions, in s: less is rounding."""
+_TUBES = slice(verdict.LAYER, verdict.VELOCITY + 1)
 
 
 def tube_ratios(
@@ -44,8 +53,13 @@ def tube_ratios(
     )
 
 
+def _last_axis_max(values: Array) -> Array:
+    """The largest along the last axis; NumPy itself is slow along a short one."""
+    return np.asarray(np.asfortranarray(values).max(axis=-1))
+
+
 class TubeMonitor(LeafSystem):
-    """Watches a plant that should stay inside the tube of a plan.
+    """Watches a plant that should stay inside the tube of a plan, and its limits.
 
     .. pydrake_system::
 
@@ -53,22 +67,32 @@ class TubeMonitor(LeafSystem):
         input_ports:
         - state
         - plan
+        - control
         output_ports:
         - tube_ratios
         - clearance
+        - record
 
     `tube_ratios` is the flattened ``(3, m)`` array |s|/Φ, |ỹ|/Ω, |dỹ/dt|/W (see
     the function of that name).  `clearance` has the distance of the plant's
     true position from the surface of each obstacle, in m and negative inside;
-    without obstacles it is one infinity.  With `trials`, `state` and both
-    outputs have one more axis in front.
+    without obstacles it is one infinity.  `record` is the flattened ``(6, 7)``
+    record of `dtmpc_drake.verdict`: the worst so far of every quantity, and when
+    a limit was broken first.  With `trials`, `state`, `control` and all outputs
+    have one more axis in front.
+
+    The record is state, which every step of the simulator begins by updating,
+    after a new plan has come into force.  Its output has the present instant in
+    it, too, and so the last one of a simulation.  What happens between two steps,
+    or within the stages of one, is not seen.  Where the velocity is no state
+    (n = 1), the speed is that from one step to the next.
     """
 
     def __init__(self, *, scenario: Scenario, trials: int | None = None) -> None:
         """Constructs a monitor.
 
         Args:
-            scenario: gives the obstacles and λ.
+            scenario: gives the obstacles, the limits and λ.
             trials: how many plants; one, without the axis, if left out.
         """
         LeafSystem.__init__(self)
@@ -77,17 +101,36 @@ class TubeMonitor(LeafSystem):
         self._shape = (count, n, m)
         self._slope = scenario.slope()
         self._obstacles = scenario.obstacle_set()
+        self._largest = verdict.largest_kept(
+            input_limit=scenario.limits.input, speed_limit=scenario.limits.speed
+        )
         self._state = self.DeclareVectorInputPort("state", count * n * m)
         self._plan = DeclarePlanInputPort(self)
-        self.DeclareVectorOutputPort(
-            "tube_ratios", count * 3 * m, self._calc_tube_ratios
+        self._control = self.DeclareVectorInputPort("control", count * m)
+        seen = {self._state.ticket(), self._plan.ticket(), self.time_ticket()}
+        self._tube_ratios = self.DeclareVectorOutputPort(
+            "tube_ratios",
+            count * 3 * m,
+            self._calc_tube_ratios,
+            prerequisites_of_calc=seen,
         )
-        self.DeclareVectorOutputPort(
+        self._clearance = self.DeclareVectorOutputPort(
             "clearance",
             count * max(len(self._obstacles), 1),
             self._calc_clearance,
             prerequisites_of_calc={self._state.ticket()},
         )
+        empty = verdict.empty_record((count,))
+        self._record_state = self.DeclareDiscreteState(empty.ravel())
+        if n == 1:  # where each plant was, and when
+            self._last_state = self.DeclareDiscreteState(np.full(count * m + 1, np.nan))
+        self._record = self.DeclareVectorOutputPort(
+            "record",
+            empty.size,
+            self._calc_record,
+            prerequisites_of_calc=seen | {self._control.ticket(), self.xd_ticket()},
+        )
+        self.DeclarePerStepDiscreteUpdateEvent(self._update)
 
     @staticmethod
     def AddToBuilder(
@@ -96,6 +139,7 @@ class TubeMonitor(LeafSystem):
         scenario: Scenario,
         state: OutputPort,
         plan: OutputPort,
+        control: OutputPort,
         trials: int | None = None,
     ) -> TubeMonitor:
         """Adds a monitor to a diagram and connects it.
@@ -105,6 +149,7 @@ class TubeMonitor(LeafSystem):
             scenario: as in the constructor.
             state: output port that gives the plant's state.
             plan: output port that gives the plan.
+            control: output port that gives the plant's input.
             trials: as in the constructor.
 
         Returns:
@@ -113,8 +158,8 @@ class TubeMonitor(LeafSystem):
         monitor: TubeMonitor = builder.AddNamedSystem(
             "tube_monitor", TubeMonitor(scenario=scenario, trials=trials)
         )
-        builder.Connect(state, monitor.GetInputPort("state"))
-        builder.Connect(plan, monitor.GetInputPort("plan"))
+        for name, port in (("state", state), ("plan", plan), ("control", control)):
+            builder.Connect(port, monitor.GetInputPort(name))
         return monitor
 
     def _calc_tube_ratios(self, context: Any, output: Any) -> None:
@@ -132,3 +177,69 @@ class TubeMonitor(LeafSystem):
         if not len(self._obstacles):
             clearance = np.full((len(position), 1), np.inf)
         output.SetFromVector(clearance.ravel())
+
+    def _calc_record(self, context: Any, output: Any) -> None:
+        output.SetFromVector(self._look(context)[1].ravel())
+
+    def _update(self, context: Any, discrete: Any) -> EventStatus:
+        before, after = self._look(context)
+        news = after is not before
+        if news:
+            record = discrete.get_mutable_vector(self._record_state)
+            record.SetFromVector(after.ravel())
+        if self._shape[1] == 1 and not self._elapsed(context) < _SHORTEST:
+            now = np.append(self._state.Eval(context), context.get_time())
+            discrete.get_mutable_vector(self._last_state).SetFromVector(now)
+            news = True
+        return EventStatus.Succeeded() if news else EventStatus.DidNothing()
+
+    def _look(self, context: Any) -> tuple[Array, Array]:
+        """The record before the present instant and with it, ``(6, count, 7)``."""
+        count, _, m = self._shape
+        state = self._state.Eval(context).reshape(self._shape)
+        control = self._control.Eval(context).reshape(count, m)
+        ratios = self._tube_ratios.Eval(context).reshape(count, 3, m)
+        depth = -self._clearance.Eval(context).reshape(count, -1)
+        speed = self._speed(context, state)
+        value = np.empty((count, len(verdict.QUANTITIES)))
+        value[:, _TUBES] = _last_axis_max(ratios)
+        value[:, verdict.OBSTACLES] = _last_axis_max(depth)
+        value[:, verdict.INPUT] = np.sqrt((control * control).sum(axis=-1))
+        value[:, verdict.SPEED] = _last_axis_max(speed)
+        # |s| has every part of the state in it.
+        all_of_it = value[:, verdict.LAYER] + value[:, verdict.INPUT]
+        value[:, verdict.FINITE] = ~np.isfinite(all_of_it)
+
+        def where() -> Array:
+            place = np.zeros(value.shape)
+            place[:, _TUBES] = ratios.argmax(axis=-1)
+            place[:, verdict.OBSTACLES] = depth.argmax(axis=-1)
+            place[:, verdict.SPEED] = speed.argmax(axis=-1)
+            return place
+
+        before = context.get_discrete_state(self._record_state).value()
+        before = before.reshape(-1, *value.shape)
+        after = verdict.look(
+            before,
+            time=context.get_time(),
+            value=value,
+            where=where,
+            largest=self._largest,
+        )
+        return before, after
+
+    def _speed(self, context: Any, state: Array) -> Array:
+        """|dy/dt|, ``(count, m)``; minus infinity where it cannot be known yet."""
+        if self._shape[1] > 1:
+            return np.asarray(np.abs(state[:, 1]))
+        elapsed = self._elapsed(context)
+        if not elapsed >= _SHORTEST:
+            return np.full_like(state[:, 0], -np.inf)
+        before = context.get_discrete_state(self._last_state).value()[:-1]
+        moved = np.abs(state[:, 0] - before.reshape(state[:, 0].shape))
+        return np.asarray(moved / elapsed)
+
+    def _elapsed(self, context: Any) -> float:
+        """Since the position that was kept, in s; NaN if there is none."""
+        kept = context.get_discrete_state(self._last_state).value()[-1]
+        return float(context.get_time() - kept)

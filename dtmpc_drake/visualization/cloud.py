@@ -33,7 +33,11 @@ def plot_quantiles(*, time: FloatArray, ratios: Mapping[str, FloatArray]) -> Fig
         rows, 2, squeeze=False, sharex="col", sharey=True, width_ratios=(4, 1)
     )
     bins = np.linspace(0.0, 1.0, 51)
-    for (left, right), (name, ratio) in zip(axes, ratios.items(), strict=True):
+    for (left, right), (name, every) in zip(axes, ratios.items(), strict=True):
+        ratio = every[np.isfinite(every).all(axis=1)]
+        lost = len(every) - len(ratio)
+        if not len(ratio):  # nothing to draw but the tube
+            ratio = np.zeros((1, len(time)))
         for low, high, alpha in _BANDS:
             edges = np.quantile(ratio, (low, high), axis=0)
             label = "all" if high == 1 else f"{low:.0%} to {high:.0%}"
@@ -52,7 +56,9 @@ def plot_quantiles(*, time: FloatArray, ratios: Mapping[str, FloatArray]) -> Fig
             panel.grid(True, color=LIGHT_GREY, lw=0.5)
             panel.set_axisbelow(True)
             panel.set_ylim(0.0, max(1.08, 1.05 * float(largest.max())))
-        left.set_title(f"{name}: {len(ratio)} flights", fontsize=10, loc="left")
+        title = f"{name}: {len(every)} flights"
+        title += f", of which {lost} not finite and not drawn" if lost else ""
+        left.set_title(title, fontsize=10, loc="left")
         left.set_ylabel("|ỹ| / Ω")
     axes[0, 1].set_title("largest of each flight", fontsize=10)
     axes[-1, 0].set_xlabel("time (s)")
