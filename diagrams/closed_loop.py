@@ -318,7 +318,11 @@ def Simulate(scenario: Scenario, *, plan: Plan | None = None) -> Log:
     Returns:
         The log.  If no certified plan was found, its status says why, and what
         was flown is `hold_plan`.
+
+    Raises:
+        ScenarioError: if the integrator's step is too long to be stable.
     """
+    scenario.require_stable_simulation()
     loop = MakeClosedLoop(scenario, plan=plan)
 
     def seed(context: Context) -> None:
@@ -342,7 +346,11 @@ def SimulateTrials(scenario: Scenario, *, plan: Plan, trials: Sequence[Trial]) -
 
     Returns:
         One log of them all.
+
+    Raises:
+        ScenarioError: if the integrator's step is too long to be stable.
     """
+    scenario.require_stable_simulation()
     loop = MakeClosedLoop(scenario, plan=plan, trials=trials)
 
     def seed(context: Context) -> None:

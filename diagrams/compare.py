@@ -166,6 +166,7 @@ def run(
     """
     scenario.validate()
     scenario.require_one_plan()
+    scenario.require_stable_simulation()
     batches(trials, batch_size)
     out = Path("out", f"{scenario.name}_compare") if out is None else Path(out)
     out.mkdir(parents=True, exist_ok=True)

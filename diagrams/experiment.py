@@ -138,6 +138,7 @@ def run(
         OSError: if the directory cannot be written.
     """
     scenario.validate()
+    scenario.require_stable_simulation()
     out = Path("out", scenario.name) if out is None else Path(out)
     out.mkdir(parents=True, exist_ok=True)
     for name in (*OUTPUTS, ATTEMPT, CANDIDATES, REPLANS):

@@ -204,6 +204,8 @@ def run(
     scenario.require_one_plan()
     batches(trials, batch_size)
     chosen = choose_disturbances(scenario, disturbance)
+    for one in chosen.values():
+        dataclasses.replace(scenario, disturbance=one).require_stable_simulation()
     out = Path("out", f"{scenario.name}_monte_carlo") if out is None else Path(out)
     out.mkdir(parents=True, exist_ok=True)
     for name in OUTPUTS:

@@ -33,6 +33,7 @@ from dtmpc_drake.scenario_size import require_affordable, require_trials
 from dtmpc_drake.scenario_text import read_text, read_yaml
 from dtmpc_drake.sensing import BoolArray, range_needed, visible
 from dtmpc_drake.sliding import sliding_variable
+from dtmpc_drake.stability import ROOM, longest_stable_step
 from dtmpc_drake.tube import propagate
 
 SHIPPED = resources.files("dtmpc_drake") / "scenarios"
@@ -401,6 +402,36 @@ class Scenario:
             ScenarioError: naming ``trials`` or ``batch-size``.
         """
         require_trials(self, count, batch_size)
+
+    def require_stable_simulation(self) -> None:
+        """Refuses a step with which the integrator would make a flight diverge.
+
+        Raises:
+            ScenarioError: naming ``simulation.max_step_size`` and what is too fast.
+        """
+        b, disturbance = self.controller.bandwidth, self.disturbance
+        room = ROOM if self.model.error_bound_varies else 1.0
+        rates = {
+            f"controller.slope[{i}] = {slope:g} 1/s": slope
+            for i, slope in enumerate(self.controller.slope)
+        }
+        fixed = b.fixed is not None
+        name = f"controller.bandwidth.{'fixed' if fixed else 'max'}"
+        alpha = b.max if b.fixed is None else b.fixed
+        rates[f"{name} = {alpha:g} rad/s"] = room * alpha
+        if isinstance(disturbance, ColoredWind):
+            tau = disturbance.correlation_time
+            rates[f"disturbance.correlation_time = {tau:g} s"] = 1 / tau
+        scheme, step = self.simulation.integration_scheme, self.simulation.max_step_size
+        longest = longest_stable_step(scheme, rates)
+        if longest is not None:
+            _require(
+                "simulation.max_step_size",
+                step,
+                step <= longest[0],
+                f"at most {longest[0]:.4g} s: with {scheme} a longer step makes the"
+                f" flight diverge, because of {longest[1]}",
+            )
 
     def planning_delay(self) -> float:
         """From a measurement until its plan takes effect, which is at a look, in s."""
