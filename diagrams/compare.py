@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from diagrams.experiment import write_json
 from diagrams.monte_carlo import BATCH_SIZE, Batch, fly_all
+from diagrams.outputs import placed, replacing
 from diagrams.table import text_table
 from dtmpc_drake.monte_carlo import KINDS, Flights, batches, choose_disturbances
 from dtmpc_drake.planning.baselines import (
@@ -168,35 +169,39 @@ def run(
     scenario.require_one_plan()
     scenario.require_stable_simulation()
     batches(trials, batch_size)
+    scenario.require_trials(trials, batch_size)
     out = Path("out", f"{scenario.name}_compare") if out is None else Path(out)
-    out.mkdir(parents=True, exist_ok=True)
-    files = [out / name for name in OUTPUTS]
-    for file in files:
-        file.unlink(missing_ok=True)
-    outcomes = [solve(baseline) for baseline in make_baselines(scenario)]
-    flown = {}
-    for outcome in outcomes:
-        if outcome.plan is None:
-            continue
-        own = outcome.baseline.scenario
-        for name in DISTURBANCES:
-            pushed = dataclasses.replace(
-                own, disturbance=choose_disturbances(own, name)[name]
-            )
-            flown[f"{outcome.baseline.name} {name}"] = pushed, outcome.plan
-    each = -(-trials // len(DISTURBANCES))
-    if start is not None:
-        start(each * len(flown))
-    flights = fly_all(
-        flown, trials=each, batch_size=batch_size, scheduler=scheduler, done=done
-    )
-    rows = {}
-    for outcome in outcomes:
-        name = outcome.baseline.name
-        own_flights = [flights[key] for key in flights if key.split()[0] == name]
-        rows[name] = Row(
-            outcome, Flights.concatenate(own_flights) if own_flights else None
+    with replacing(out, OUTPUTS) as work:
+        outcomes = [solve(baseline) for baseline in make_baselines(scenario)]
+        flown = {}
+        for outcome in outcomes:
+            if outcome.plan is None:
+                continue
+            own = outcome.baseline.scenario
+            for name in DISTURBANCES:
+                pushed = dataclasses.replace(
+                    own, disturbance=choose_disturbances(own, name)[name]
+                )
+                flown[f"{outcome.baseline.name} {name}"] = pushed, outcome.plan
+        each = -(-trials // len(DISTURBANCES))
+        if start is not None:
+            start(each * len(flown))
+        flights = fly_all(
+            flown, trials=each, batch_size=batch_size, scheduler=scheduler, done=done
         )
+        rows = {}
+        for outcome in outcomes:
+            name = outcome.baseline.name
+            own_flights = [flights[key] for key in flights if key.split()[0] == name]
+            rows[name] = Row(
+                outcome, Flights.concatenate(own_flights) if own_flights else None
+            )
+        files = _write(scenario, rows, work)
+    return Comparison(scenario, rows, placed(files, work, out))
+
+
+def _write(scenario: Scenario, rows: dict[str, Row], out: Path) -> list[Path]:
+    files = [out / name for name in OUTPUTS]
     if scenario.model.num_outputs > 1:
         to_figure(scenario, rows).savefig(out / OUTPUTS[0])
     else:  # there is no field to look at
@@ -222,7 +227,7 @@ def run(
             ],
         },
     )
-    return Comparison(scenario, rows, tuple(files))
+    return files
 
 
 def currency(scenario: Scenario) -> dict[str, Any]:

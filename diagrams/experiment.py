@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from diagrams.closed_loop import Log, Simulate
+from diagrams.outputs import placed, replacing
 from dtmpc_drake.planning import Iteration, PlanningResult, plan
 from dtmpc_drake.replan import counted, table
 from dtmpc_drake.scenario import Scenario
@@ -125,8 +126,8 @@ def run(
     A certified plan gives all of `OUTPUTS`, `CANDIDATES` after a search for the best
     sides, and `REPLANS` if there may be more plans on the way; ``plan.npz`` is then
     what was in force at each time.  Any other gives ``summary.json`` and a figure of
-    the attempt; outputs of an earlier run are removed, so that a directory never
-    mixes two.
+    the attempt.  All take their places at the end, and outputs of an earlier run
+    that these do not replace are set aside; see `diagrams.outputs.replacing`.
 
     Args:
         scenario: the whole experiment.
@@ -140,9 +141,14 @@ def run(
     scenario.validate()
     scenario.require_stable_simulation()
     out = Path("out", scenario.name) if out is None else Path(out)
-    out.mkdir(parents=True, exist_ok=True)
-    for name in (*OUTPUTS, ATTEMPT, CANDIDATES, REPLANS):
-        (out / name).unlink(missing_ok=True)
+    with replacing(out, (*OUTPUTS, ATTEMPT, CANDIDATES, REPLANS)) as work:
+        ended = _run(scenario, work, report)
+    return dataclasses.replace(ended, files=placed(ended.files, work, out))
+
+
+def _run(
+    scenario: Scenario, out: Path, report: Callable[[Iteration], None] | None
+) -> Experiment:
     result = plan(scenario, report=report)
     log = None
     files = []

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 from diagrams.closed_loop import Log, SimulateTrials
 from diagrams.experiment import color_of, summarize, write_json
+from diagrams.outputs import placed, replacing
 from diagrams.table import text_table
 from dtmpc_drake.monte_carlo import (
     Flights,
@@ -184,7 +185,8 @@ def run(
 ) -> MonteCarlo:
     """Plans once, flies the plan many times, and writes `OUTPUTS`.
 
-    Without a certified plan nothing is flown and only ``summary.json`` written.
+    Without a certified plan nothing is flown and only ``summary.json`` written.  All
+    files take their places at the end; see `diagrams.outputs.replacing`.
 
     Args:
         scenario: the whole experiment; its seed decides every trial.
@@ -205,34 +207,31 @@ def run(
     batches(trials, batch_size)
     chosen = choose_disturbances(scenario, disturbance)
     for one in chosen.values():
-        dataclasses.replace(scenario, disturbance=one).require_stable_simulation()
+        pushed = dataclasses.replace(scenario, disturbance=one)
+        pushed.require_stable_simulation()
+        pushed.require_trials(trials, batch_size)
     out = Path("out", f"{scenario.name}_monte_carlo") if out is None else Path(out)
-    out.mkdir(parents=True, exist_ok=True)
-    for name in OUTPUTS:
-        (out / name).unlink(missing_ok=True)
-    result = plan(scenario)
     flights: dict[str, Flights] = {}
-    files = [out / name for name in OUTPUTS]
-    if result.certified and result.plan is not None:
-        if start is not None:
-            start(trials * len(chosen))
-        flights = fly_all(
-            {
-                name: (dataclasses.replace(scenario, disturbance=d), result.plan)
-                for name, d in chosen.items()
-            },
-            trials=trials,
-            batch_size=batch_size,
-            scheduler=scheduler,
-            done=done,
-        )
-        draw(scenario, result.plan, flights, out)
-        save_flights(files[3], flights)
-        files = [file for file in files if file.exists() or file is files[-1]]
-    else:
-        files = files[-1:]
-    write_json(files[-1], to_numbers(scenario, result, flights))
-    return MonteCarlo(scenario, result, flights, tuple(files))
+    with replacing(out, OUTPUTS) as work:
+        result = plan(scenario)
+        if result.certified and result.plan is not None:
+            if start is not None:
+                start(trials * len(chosen))
+            flights = fly_all(
+                {
+                    name: (dataclasses.replace(scenario, disturbance=d), result.plan)
+                    for name, d in chosen.items()
+                },
+                trials=trials,
+                batch_size=batch_size,
+                scheduler=scheduler,
+                done=done,
+            )
+            draw(scenario, result.plan, flights, work)
+            save_flights(work / "monte_carlo.npz", flights)
+        write_json(work / "summary.json", to_numbers(scenario, result, flights))
+        files = [work / name for name in OUTPUTS if (work / name).exists()]
+    return MonteCarlo(scenario, result, flights, placed(files, work, out))
 
 
 def to_numbers(

@@ -152,8 +152,9 @@ def test_an_infeasible_scenario_is_not_flown(tmp_path: Path) -> None:
     assert result.exit_code == 3
     assert "infeasible" in result.stdout
     assert "cannot keep input limit" in result.stdout
-    names = {ATTEMPT, "summary.json", "notes.txt"}
+    names = {ATTEMPT, "summary.json", "notes.txt", "earlier"}
     assert {p.name for p in out.iterdir()} == names
+    assert [p.name for p in (out / "earlier").iterdir()] == ["replay.html"]
     summary = read_summary(out)
     assert summary["status"] == "infeasible"
     assert summary["certified"] is False
