@@ -341,7 +341,8 @@ def to_text(scenario: Scenario, rows: dict[str, Row]) -> str:
         "of the nominal plan the highest, with which it is flown; plan s: of a whole "
         "sweep;",
         "tube: Ω over time and axes, m; effort: ∫‖u‖² dt of the median flight;",
-        f"flights through {', '.join(DISTURBANCES)}; clearance: smallest, m",
+        f"flights through {', '.join(DISTURBANCES)}; clearance: smallest, m;",
+        "violations: flights that left layer or tubes, broke a limit, were not finite",
     ]
     if factor is not None:
         legend.append(f"the best fixed α costs {factor:.2f} times as much as DTMPC")

@@ -165,8 +165,14 @@ class MonteCarlo:
                 "",
                 self.table(),
                 "",
-                "distinct: not the same to the last bit; violations of layer and tubes;"
-                " the largest of all ratios; clearance: smallest, m; effort: ∫‖u‖² dt",
+                "distinct: not the same to the last bit; violations: flights that left"
+                " layer or tubes, broke a limit, or were not finite, at any step;",
+                "the largest of all ratios; clearance: smallest, m; effort: ∫‖u‖² dt",
+            ]
+            lines += [
+                f"{name}: {flown.what_broke()}"
+                for name, flown in self.flights.items()
+                if not flown.safe
             ]
         lines += ["", "files", *(f"  {path}" for path in self.files)]
         return "\n".join(lines)

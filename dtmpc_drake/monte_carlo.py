@@ -400,6 +400,17 @@ class Flights:
         del named["obstacles"]
         return named
 
+    def what_broke(self) -> str:
+        """How many trials broke what, in words; empty if none broke anything."""
+        counts = {
+            name.replace("_", " "): int(count)
+            for name, count in zip(
+                verdict.QUANTITIES, self.broken.sum(axis=0), strict=True
+            )
+        }
+        broken = [f"{name} {count}" for name, count in counts.items() if count]
+        return f"of {len(self)} flights broke: {', '.join(broken)}" if broken else ""
+
     @property
     def outside(self) -> int:
         """How many trials broke any of `violations`."""

@@ -260,6 +260,7 @@ def test_flights_that_are_not_finite_are_counted_drawn_and_not_safe(
     result = plan(SHORT)
     ended = MonteCarlo(SHORT, result, {"a": good, "b": bad}, ())
     assert not ended.safe and "inf" in ended.table()
+    assert "b: of 4 flights broke: not finite 1, layer 1" in repr(ended)
     draw(SHORT, short_plan, {"a": good, "b": bad}, tmp_path)
     assert (tmp_path / "quantiles.png").exists()
 
@@ -309,6 +310,26 @@ def test_a_flight_that_is_well_says_so(tmp_path):
     assert experiment.safe
     assert experiment.summary()["flight_ok"] is True
     assert "kept layer, tubes, limits and obstacles" in repr(experiment)
+
+
+class Exploding(Hidden):
+    """A plant that leaves all numbers behind within some steps."""
+
+    def true_drift(self, x, parameters):
+        drift = super().true_drift(x, parameters)
+        y = np.clip(x[..., 0, 1:2], 0.0, 4.0)
+        return drift + np.where(y > 1.0, np.exp(50 * y**2), 0.0)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_a_flight_that_blows_up_is_drawn_and_said(tmp_path):
+    experiment = run(dataclasses.replace(SHORT, model=Exploding(0.0)), tmp_path)
+    assert experiment.result.certified and not experiment.safe
+    assert "not_finite" in {one.what for one in experiment.breaches}
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["certified"] is True and summary["flight_ok"] is False
+    assert summary["extremes"]["worst_layer_ratio"] is None  # no number
+    assert {path.name for path in tmp_path.iterdir()} >= {"replay.html", "log.npz"}
 
 
 def test_what_is_not_flown_is_neither(tmp_path):
