@@ -330,7 +330,9 @@ class Log:
             if array.dtype.kind != "f":
                 raise ValueError(f"{name} must hold real numbers, not {array.dtype}")
             if array.shape != shape:
-                raise ValueError(f"{name} has shape {array.shape}, not {shape}")
+                raise ValueError(
+                    f"{name} has shape {array.shape}, not {shape}, at {K} times"
+                )
         if not np.isfinite(time).all() or not (np.diff(time) > 0).all():
             raise ValueError("time must be finite and increase")
 

@@ -167,9 +167,12 @@ def run(
     """
     scenario.validate()
     scenario.require_one_plan()
-    scenario.require_stable_simulation()
-    batches(trials, batch_size)
+    # Baselines are flown with bandwidths up to the largest.
+    bandwidth = dataclasses.replace(scenario.controller.bandwidth, fixed=None)
+    controller = dataclasses.replace(scenario.controller, bandwidth=bandwidth)
+    dataclasses.replace(scenario, controller=controller).require_stable_simulation()
     scenario.require_trials(trials, batch_size)
+    batches(trials, batch_size)  # refuses none, too
     out = Path("out", f"{scenario.name}_compare") if out is None else Path(out)
     with replacing(out, OUTPUTS) as work:
         outcomes = [solve(baseline) for baseline in make_baselines(scenario)]

@@ -210,12 +210,12 @@ def run(
     """
     scenario.validate()
     scenario.require_one_plan()
-    batches(trials, batch_size)
     chosen = choose_disturbances(scenario, disturbance)
     for one in chosen.values():
         pushed = dataclasses.replace(scenario, disturbance=one)
         pushed.require_stable_simulation()
         pushed.require_trials(trials, batch_size)
+    batches(trials, batch_size)  # refuses none, too
     out = Path("out", f"{scenario.name}_monte_carlo") if out is None else Path(out)
     flights: dict[str, Flights] = {}
     with replacing(out, OUTPUTS) as work:

@@ -21,9 +21,12 @@ LIMITS = {
 }
 """How far each explicit scheme's interval of stability reaches along the negative
 real axis.  Schemes that are not here are implicit, and stable on all of it."""
-ROOM = 1.1
+ROOM = 1.25
 """K(x)/Φ is α + (Δ(x) - Δ(x*))/Φ: what the bandwidth is taken to be larger, where the
-model error varies."""
+model error varies.  An allowance: it reached 1.2 α in the shipped experiments."""
+SHARE = 0.98
+"""Of a limit that steps may use: Drake makes a step up to a hundredth longer than the
+longest, and a fixed bandwidth may deviate by half as much."""
 
 
 def longest_stable_step(
@@ -41,4 +44,4 @@ def longest_stable_step(
     if scheme not in LIMITS:
         return None
     fastest = max(rates, key=lambda name: rates[name])
-    return LIMITS[scheme] / rates[fastest], fastest
+    return SHARE * LIMITS[scheme] / rates[fastest], fastest
