@@ -203,7 +203,7 @@ names = st.text(
     name=names,
     model=models,
     disturbance=disturbances,
-    slope=st.lists(positive, min_size=3, max_size=3),
+    slope=st.lists(st.floats(1e-3, 100), min_size=3, max_size=3),
     fixed=st.none() | st.floats(0.5, 4),
     velocity=st.none() | st.lists(st.floats(-2, 2), min_size=3, max_size=3),
     obstacles=st.lists(obstacles, max_size=4),
