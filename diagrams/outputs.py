@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -28,12 +29,14 @@ def replacing(out: Path, names: Sequence[str]) -> Iterator[Path]:
         OSError: at the start, if `out` cannot be written.
     """
     made = [path for path in (out, *out.parents) if not path.exists()]
-    out.mkdir(parents=True, exist_ok=True)
     try:
+        out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".unfinished-", dir=out) as directory:
-            work = Path(directory)
+            work, replaced = Path(directory, "new"), Path(directory, "replaced")
+            work.mkdir()
+            replaced.mkdir()
             yield work
-            _take_places(work, out, names)
+            _take_places(work, out, names, replaced)
     except BaseException:
         for path in made:  # the deepest first
             with contextlib.suppress(OSError):  # somebody else uses it by now
@@ -41,22 +44,46 @@ def replacing(out: Path, names: Sequence[str]) -> Iterator[Path]:
         raise
 
 
-def _take_places(work: Path, out: Path, names: Sequence[str]) -> None:
-    new = {path.name for path in work.iterdir()}
-    old = [out / name for name in names if name not in new and (out / name).exists()]
-    if old:
-        aside = _first_free(out)
-        aside.mkdir()
-        for path in old:
-            path.rename(aside / path.name)
-    for name in sorted(new):
-        # On one file system, so that each is there as a whole or not at all.
-        (work / name).replace(out / name)
+def _take_places(work: Path, out: Path, names: Sequence[str], replaced: Path) -> None:
+    """Moves everything, or, if anything is in the way, nothing.
+
+    Args:
+        work: where the new files are.
+        out: where they belong.
+        names: that outputs may have.
+        replaced: an empty directory, for the files whose places are taken.
+    """
+    new = sorted(path.name for path in work.iterdir())
+    there = [name for name in dict.fromkeys((*names, *new)) if _exists(out / name)]
+    # A directory is no output of ours, so it is not replaced.
+    old = [n for n in there if n not in new or (out / n).is_dir()]
+    aside = _first_free(out)
+    moves = [(out / name, aside / name) for name in old]
+    moves += [(out / name, replaced / name) for name in there if name not in old]
+    moves += [(work / name, out / name) for name in new]
+    try:
+        if old:
+            aside.mkdir()
+        for source, target in moves:  # on one file system: as a whole or not at all
+            os.replace(source, target)
+    except BaseException:
+        for source, target in reversed(moves):
+            if _exists(target) and not _exists(source):
+                os.replace(target, source)
+        if old:
+            with contextlib.suppress(OSError):  # it was not even made
+                aside.rmdir()
+        raise
+
+
+def _exists(path: Path) -> bool:
+    """Whether there is anything, a link to nothing included."""
+    return os.path.lexists(path)
 
 
 def _first_free(out: Path) -> Path:
     number, path = 1, out / "earlier"
-    while path.exists():
+    while _exists(path):
         number += 1
         path = out / f"earlier-{number}"
     return path

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from pathlib import Path
 
 import numpy as np
@@ -76,6 +77,53 @@ def test_a_directory_that_was_made_for_nothing_is_gone(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("error", [OSError, KeyboardInterrupt])
+@pytest.mark.parametrize("moves", range(5))
+def test_files_that_cannot_all_take_their_places_take_none(
+    used: Path, monkeypatch, error, moves: int
+) -> None:
+    """Five moves: one file is set aside, one makes room, and three take places."""
+    before, replace, left = contents(used), os.replace, [moves]
+
+    def some(source: Path, target: Path) -> None:
+        left[0] -= 1
+        if left[0] == -1:
+            raise error
+        replace(source, target)
+
+    monkeypatch.setattr("diagrams.outputs.os.replace", some)
+    with pytest.raises(error), replacing(used, (*NAMES, "d.txt")) as work:
+        for name in ("b.txt", "c.txt", "d.txt"):
+            (work / name).write_text("new")
+    assert contents(used) == before
+    assert {path.name for path in used.iterdir()} == {"a.txt", "b.txt", "notes.txt"}
+
+
+def test_a_directory_in_the_place_of_an_output_is_set_aside(used: Path) -> None:
+    (used / "c.txt").mkdir()
+    (used / "c.txt" / "mine.txt").write_text("the user's own")
+    with replacing(used, NAMES) as work:
+        (work / "c.txt").write_text("new")
+    assert contents(used)["c.txt"] == "new"
+    assert contents(used)["earlier/c.txt/mine.txt"] == "the user's own"
+
+
+def test_a_link_to_nothing_is_in_the_way_as_any_file(used: Path) -> None:
+    (used / "earlier").symlink_to("nowhere")
+    (used / "c.txt").symlink_to("nowhere")
+    with replacing(used, NAMES):
+        pass
+    assert (used / "earlier").is_symlink()
+    assert (used / "earlier-2" / "c.txt").is_symlink()
+    assert (used / "earlier-2" / "a.txt").read_text() == "earlier"
+
+
+def test_directories_above_one_that_cannot_be_made_are_gone(tmp_path: Path) -> None:
+    with pytest.raises(OSError), replacing(tmp_path / "some" / ("n" * 300), NAMES):
+        pytest.fail("nothing should be done")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_file_in_the_way_is_found_at_the_start(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(OSError), replacing(tmp_path / "file" / "below", NAMES):
@@ -113,12 +161,21 @@ def test_an_infeasible_run_deletes_nothing(tmp_path: Path, command: str) -> None
     assert (out / "summary.json").exists()
 
 
-def test_a_scheduler_that_nobody_runs_costs_nothing(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "address",
+    [
+        "nobody://127.0.0.1:1",
+        pytest.param("tcp://127.0.0.1:1", marks=pytest.mark.slow),  # waits for it
+    ],
+)
+def test_a_scheduler_that_nobody_runs_costs_nothing(
+    tmp_path: Path, address: str
+) -> None:
     file, out = tmp_path / "short.yaml", tmp_path / "out"
     file.write_text(SHORT.to_yaml(), encoding="utf-8")
     out.mkdir()
     (out / "cloud.png").write_text("of an earlier run")
-    arguments = ["--scheduler", "nobody://127.0.0.1:1", "--trials", "4"]
+    arguments = ["--scheduler", address, "--trials", "4"]
     result = CliRunner().invoke(
         app, ["monte-carlo", str(file), "--out", str(out), *arguments]
     )
