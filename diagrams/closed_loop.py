@@ -14,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -26,6 +26,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
 from diagrams.live_view import LiveView
+from diagrams.saved_log import check_arrays, read_array, read_replans, read_status
 from dtmpc_drake import verdict
 from dtmpc_drake.models import Array
 from dtmpc_drake.monte_carlo import Trial
@@ -285,56 +286,23 @@ class Log:
         with open(path, "rb") as file:
             if not zipfile.is_zipfile(file):
                 raise ValueError(f"{path}: not a saved log (not an .npz file)")
-        reading = "the archive"
+        reading = "the archive: "
         try:
             with np.load(path, allow_pickle=False) as data:
                 arrays: dict[str, Any] = {}
                 for field in dataclasses.fields(cls):
-                    reading = field.name
-                    arrays[field.name] = data[field.name]
-                cls._check(arrays)
-                reading = "status"
-                texts: dict[str, Any] = {"status": _text(arrays["status"])}
-                reading = "replans"
-                texts["replans"] = _read_replans(arrays["replans"], data)
+                    reading = f"{field.name}: "
+                    arrays[field.name] = read_array(data, field.name)
+                reading = ""  # what is wrong begins with the field
+                check_arrays(arrays)
+                reading = "status: "
+                texts: dict[str, Any] = {"status": read_status(arrays["status"])}
+                reading = "replans: "
+                texts["replans"] = read_replans(arrays["replans"], data)
         except DAMAGE as error:
             why = " ".join(str(error).split())
-            raise ValueError(f"{path}: not a saved log ({reading}: {why})") from None
+            raise ValueError(f"{path}: not a saved log ({reading}{why})") from None
         return cls(**arrays | texts)
-
-    @staticmethod
-    def _check(arrays: dict[str, Any]) -> None:
-        """Types and shapes of all arrays but the texts.
-
-        Raises:
-            ValueError: that names the field.
-        """
-        time, state = arrays["time"], arrays["state"]
-        if time.ndim != 1 or not len(time) or state.ndim != 3 or not state.size:
-            raise ValueError(f"time {time.shape} and state {state.shape} do not fit")
-        K, (n, m) = len(time), state.shape[1:]
-        obstacles = arrays["known_since"].shape[:1]
-        shapes = {
-            "time": (K,),
-            "state": (K, n, m),
-            "control": (K, m),
-            "reference": (K, n + 1, m),
-            "disturbance": (K, m),
-            "tube_ratios": (K, 3, m),
-            "clearance": (K, max(1, *obstacles, 0)),
-            "record": (len(verdict.COLUMNS), len(verdict.QUANTITIES)),
-            "known_since": obstacles,
-        }
-        for name, shape in shapes.items():
-            array = arrays[name]
-            if array.dtype.kind != "f":
-                raise ValueError(f"{name} must hold real numbers, not {array.dtype}")
-            if array.shape != shape:
-                raise ValueError(
-                    f"{name} has shape {array.shape}, not {shape}, at {K} times"
-                )
-        if not np.isfinite(time).all() or not (np.diff(time) > 0).all():
-            raise ValueError("time must be finite and increase")
 
     def __repr__(self) -> str:
         """Names what a reader wants to know first."""
@@ -345,41 +313,6 @@ class Log:
             f"|ỹ|/Ω {seen['worst_position_ratio']:.3f}, "
             f"clearance {seen['smallest_clearance']:.3f} m, plan {self.status})"
         )
-
-
-def _text(array: Array) -> str:
-    if array.dtype.kind != "U" or array.shape:
-        raise ValueError(f"must be a text, not {array.dtype} of shape {array.shape}")
-    return str(array)
-
-
-def _read_replans(array: Array, data: Mapping[str, Array]) -> tuple[Replan, ...]:
-    """What `Log.save` wrote of every replan, and their plans.
-
-    Raises:
-        ValueError: if anything is wrong with one of them.
-    """
-    names = {field.name for field in dataclasses.fields(Replan)} - {"plan"}
-    plan_fields = [field.name for field in dataclasses.fields(Plan)]
-    listed = json.loads(_text(array))
-    if not isinstance(listed, list):
-        raise ValueError("must be a list")
-    replans = []
-    for i, fields in enumerate(listed):
-        if not isinstance(fields, dict) or set(fields) != names:
-            raise ValueError(f"number {i} must have the fields {', '.join(names)}")
-        for name in ("time", "hand_over", "solve_time"):
-            if not isinstance(fields[name], (int, float)):
-                raise ValueError(f"number {i} has no number as its {name}")
-        if not isinstance(fields["revealed"], list):
-            raise ValueError(f"number {i} must have a list of what was revealed")
-        plan = None
-        if f"plan{i}_{plan_fields[0]}" in data:
-            arrays = {name: data[f"plan{i}_{name}"] for name in plan_fields}
-            plan = Plan.from_arrays(arrays, where=f"plan {i}")
-        fields["revealed"] = tuple(fields["revealed"])
-        replans.append(Replan(**fields, plan=plan))
-    return tuple(replans)
 
 
 def Simulate(scenario: Scenario, *, plan: Plan | None = None) -> Log:

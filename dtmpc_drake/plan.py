@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import lzma
+import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,6 +30,12 @@ DAMAGE: tuple[type[Exception], ...] = (
     MemoryError,
     NotImplementedError,
     RuntimeError,
+    OverflowError,  # this and the next three: a header of an array that is none
+    SyntaxError,
+    TypeError,
+    tokenize.TokenError,
+    struct.error,
+    lzma.LZMAError,
     zipfile.BadZipFile,
     zlib.error,
 )

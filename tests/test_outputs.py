@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import math
 import os
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +20,8 @@ from diagrams.__main__ import app
 from diagrams.closed_loop import Log, Simulate
 from diagrams.experiment import run
 from diagrams.outputs import replacing
+from dtmpc_drake.plan import Plan
+from dtmpc_drake.replan import Replan
 from dtmpc_drake.scenario import Cylinder, Limits, Planner, Scenario, Waypoint
 
 NAMES = ("a.txt", "b.txt", "c.txt")
@@ -203,6 +208,20 @@ def log() -> Log:
     return Simulate(found)
 
 
+@pytest.fixture(scope="module")
+def single() -> Log:
+    """Of a flight with one plan, and so without replans."""
+    return Simulate(SHORT)
+
+
+def test_a_single_flights_log_is_loaded_exactly(single: Log, tmp_path: Path) -> None:
+    single.save(tmp_path / "log.npz")
+    loaded = Log.load(tmp_path / "log.npz")
+    np.testing.assert_array_equal(loaded.state, single.state)
+    assert loaded.replans == single.replans == ()
+    assert loaded.status == single.status
+
+
 def test_a_saved_log_is_loaded_exactly(log: Log, tmp_path: Path) -> None:
     log.save(tmp_path / "log.npz")
     loaded = Log.load(tmp_path / "log.npz")
@@ -222,32 +241,166 @@ def test_a_flight_that_diverged_is_loaded_as_it_was(log: Log, tmp_path: Path) ->
     assert np.isnan(Log.load(tmp_path / "log.npz").state[5:]).all()
 
 
+def saved_with(log: Log, path: Path, **changes: object) -> None:
+    """A log's file with some of its arrays replaced, or left out if None."""
+    log.save(path)
+    with np.load(path) as data:
+        arrays = {name: data[name] for name in data.files} | changes
+    with open(path, "wb") as file:
+        np.savez(file, **{n: a for n, a in arrays.items() if a is not None})
+
+
+ARRAYS = [
+    f.name for f in dataclasses.fields(Log) if f.name not in ("status", "replans")
+]
+
+
+@pytest.mark.parametrize("field", [*ARRAYS, "status", "replans"])
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.array([{}], dtype=object),
+        np.zeros(3, dtype=complex),
+        np.array(["a"]),
+        np.array("text"),
+        np.zeros((0, 2)),
+        np.zeros(()),
+        np.zeros((2, 2, 2, 2)),
+        np.arange(5),
+        None,
+    ],
+    ids=[
+        "pickle",
+        "complex",
+        "texts",
+        "text",
+        "empty",
+        "scalar",
+        "axes",
+        "whole",
+        "missing",
+    ],
+)
+def test_no_other_array_is_taken_for_a_logs(
+    log: Log, field: str, array: np.ndarray | None, tmp_path: Path
+) -> None:
+    file = tmp_path / "log.npz"
+    saved_with(log, file, **{field: array})
+    with pytest.raises(ValueError) as error:
+        Log.load(file)
+    words = str(error.value)
+    assert words.startswith(f"{file}: not a saved log ({field}") and "\n" not in words
+
+
 DAMAGE = {
-    "time": np.zeros(7),
-    "state": np.zeros((3, 2, 3)),
-    "control": np.zeros((3, 3), dtype=complex),
-    "tube_ratios": np.array([{}], dtype=object),
-    "reference": np.array("text"),
-    "record": np.zeros((7, 6)),
-    "clearance": np.zeros(0),
-    "status": np.zeros(3),
-    "replans": np.array("{not json"),
-    "plan1_layer_coefficients": np.zeros((2, 2, 2)),
+    "times that do not increase": ({"time": {3: 0.0}}, "time must be finite and inc"),
+    "an infinite time": ({"time": {-1: np.inf}}, "time must be finite"),
+    "an obstacle known at no time": ({"known_since": {0: np.nan}}, "known_since must"),
 }
 
 
-@pytest.mark.parametrize("field", DAMAGE)
+@pytest.mark.parametrize("damage", DAMAGE)
 def test_a_damaged_log_is_refused_with_its_field(
-    log: Log, field: str, tmp_path: Path
+    log: Log, damage: str, tmp_path: Path
+) -> None:
+    changes, words = DAMAGE[damage]
+    for field, rows in changes.items():
+        array = getattr(log, field).copy()
+        for row, value in rows.items():
+            array[row] = value
+        saved_with(log, tmp_path / "log.npz", **{field: array})
+    with pytest.raises(ValueError, match=rf"log\.npz: not a saved log \({words}"):
+        Log.load(tmp_path / "log.npz")
+
+
+def test_a_status_that_no_planner_says_is_refused(log: Log, tmp_path: Path) -> None:
+    saved_with(log, tmp_path / "log.npz", status=np.array("splendid"))
+    with pytest.raises(ValueError, match=r"\(status: 'splendid' is none of .*kept"):
+        Log.load(tmp_path / "log.npz")
+
+
+@pytest.mark.parametrize("status", ["given", "kept: old plan", "infeasible: a: b"])
+def test_a_status_and_its_reason_are_loaded(
+    log: Log, status: str, tmp_path: Path
+) -> None:
+    dataclasses.replace(log, status=status).save(tmp_path / "log.npz")
+    assert Log.load(tmp_path / "log.npz").status == status
+
+
+@pytest.mark.parametrize("field", [field.name for field in dataclasses.fields(Plan)])
+@pytest.mark.parametrize("array", [None, np.zeros(()), np.array(["a"])])
+def test_a_plan_that_lost_an_array_is_not_taken_for_none(
+    log: Log, field: str, array: np.ndarray | None, tmp_path: Path
+) -> None:
+    saved_with(log, tmp_path / "log.npz", **{f"plan1_{field}": array})
+    words = rf"plan1_{field}" if array is None else "plan 1: not a saved plan"
+    with pytest.raises(ValueError, match=rf"log\.npz: not a saved log .*{words}"):
+        Log.load(tmp_path / "log.npz")
+
+
+WRONG = {
+    "time": [None, True, "0", math.nan, math.inf],
+    "hand_over": [None, True, "0", math.nan],
+    "cause": [None, 1, []],
+    "revealed": [None, 1, "0", {}, ["0"], [True], [[]]],
+    "status": [None, 1, "splendid"],
+    "message": [None, 1],
+    "iterations": [None, True, 1.5, "1"],
+    "cost": [True, "1", []],
+    "solve_time": [None, True, math.nan, 10**400],
+}
+
+
+def test_every_field_of_a_replan_has_its_wrong_values() -> None:
+    names = {field.name for field in dataclasses.fields(Replan)}
+    assert set(WRONG) == names - {"plan"}
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [(field, v) for field, vs in WRONG.items() for v in vs]
+)
+def test_a_replan_with_a_wrong_value_is_refused(
+    log: Log, field: str, value: object, tmp_path: Path
+) -> None:
+    replans = [replan.summary() for replan in log.replans]
+    replans[1][field] = value
+    saved_with(log, tmp_path / "log.npz", replans=np.array(json.dumps(replans)))
+    with pytest.raises(ValueError, match=r"log\.npz: not a saved log \(replans"):
+        Log.load(tmp_path / "log.npz")
+
+
+def header(text: str) -> bytes:
+    """An array's file with this header."""
+    padded = text.ljust(117) + "\n"
+    return b"\x93NUMPY\x01\x00" + len(padded).to_bytes(2, "little") + padded.encode()
+
+
+NO_ARRAYS = {
+    "another file": b"hello",
+    "nothing": b"",
+    "a header that ends early": header("{'descr': ('<f8'"),
+    "a header of two lines": header("  x\n y"),
+    "a header that is no dictionary": header("{[]: 1}"),
+    "a size beyond all": header(
+        f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({10**30},)}}"
+    ),
+}
+
+
+@pytest.mark.parametrize("member", NO_ARRAYS)
+@pytest.mark.parametrize("field", ["time", "status", "replans", "plan0_knots"])
+def test_a_member_that_is_no_array_is_refused(
+    log: Log, field: str, member: str, tmp_path: Path
 ) -> None:
     file = tmp_path / "log.npz"
     log.save(file)
-    with np.load(file) as data:
-        arrays = {name: data[name] for name in data.files} | {field: DAMAGE[field]}
-    with open(file, "wb") as target:
-        np.savez(target, **arrays)
-    word = "plan 1" if field.startswith("plan1") else field
-    with pytest.raises(ValueError, match=rf"log\.npz: not a saved log.*{word}"):
+    with zipfile.ZipFile(file) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, data in (members | {f"{field}.npy": NO_ARRAYS[member]}).items():
+            archive.writestr(name, data)
+    word = "replans" if field.startswith("plan") else field
+    with pytest.raises(ValueError, match=rf"log\.npz: not a saved log \({word}"):
         Log.load(file)
 
 
@@ -266,12 +419,27 @@ def test_replans_that_are_none_are_refused(log: Log, text: str, tmp_path: Path) 
         Log.load(file)
 
 
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA, 99])
+def test_a_member_that_is_packed_otherwise_is_refused(
+    log: Log, method: int, tmp_path: Path
+) -> None:
+    file = tmp_path / "log.npz"
+    log.save(file)
+    data = bytearray(file.read_bytes())
+    entry = data.index(b"PK\x01\x02")  # of the archive's directory
+    data[entry + 10 : entry + 12] = method.to_bytes(2, "little")
+    file.write_bytes(data)
+    with pytest.raises(ValueError, match=r"log\.npz: not a saved log"):
+        Log.load(file)
+
+
+@pytest.mark.parametrize("kind", ["log", "single"])
 @given(seed=st.integers(0, 2**31))
 def test_damaged_bytes_are_a_value_error_or_a_log(
-    log: Log, seed: int, tmp_path_factory
+    kind: str, request, seed: int, tmp_path_factory
 ) -> None:
     file = tmp_path_factory.mktemp("bytes") / "log.npz"
-    log.save(file)
+    request.getfixturevalue(kind).save(file)
     data = bytearray(file.read_bytes())
     g = np.random.default_rng(seed)
     for place in g.integers(0, len(data), g.integers(1, 20)):
