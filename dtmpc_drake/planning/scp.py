@@ -25,6 +25,7 @@ from pydrake.solvers import (
 
 from dtmpc_drake.models import Array, bends, jacobian
 from dtmpc_drake.planning.deadline import NEVER, Deadline
+from dtmpc_drake.planning.rows import Rows
 from dtmpc_drake.planning.sensitivity import kinks, transitions
 from dtmpc_drake.planning.splines import Sparse
 from dtmpc_drake.planning.transcription import (
@@ -103,44 +104,6 @@ class Iteration:
     status: str
 
 
-class _Rows:
-    """Rows of a sparse constraint, collected block by block."""
-
-    def __init__(self, width: int) -> None:
-        self._width = width
-        self._values: list[Array] = []
-        self._indices: list[tuple[Array, Array]] = []
-        self._bounds: list[tuple[Array, Array]] = []
-        self.count = 0
-
-    def add(
-        self,
-        values: Array,
-        columns: Array,
-        low: Array | float,
-        high: Array | float,
-    ) -> None:
-        """Adds rows with equally many entries each, ``(R, E)``."""
-        size = len(values)
-        row, entry = np.nonzero(np.abs(values) > 1e-9)
-        self._values.append(values[row, entry])
-        self._indices.append((row + self.count, columns[row, entry]))
-        self._bounds.append((np.broadcast_to(low, size), np.broadcast_to(high, size)))
-        self.count += size
-
-    def assemble(self) -> tuple[Sparse, Array, Array]:
-        """The matrix and its bounds."""
-        row, column = (
-            np.concatenate(part) for part in zip(*self._indices, strict=True)
-        )
-        matrix = sp.csc_array(
-            (np.concatenate(self._values), (row, column)),
-            shape=(self.count, self._width),
-        )
-        low, high = (np.concatenate(part) for part in zip(*self._bounds, strict=True))
-        return matrix, low, high
-
-
 @dataclasses.dataclass(frozen=True)
 class _InputRows:
     """Nodes between the knots, the pieces that they are in, and rows' entries."""
@@ -167,9 +130,12 @@ class Program:
         v = self.variables
         self.program = MathematicalProgram()
         z = self.program.NewContinuousVariables(v.size, "z")
-        one_row = sp.csc_array(([1.0], ([0], [v.size - 1])), shape=(1, v.size))
-        self._constraint = self.program.AddLinearConstraint(
-            sp.csc_matrix(one_row), np.zeros(1), np.full(1, np.inf), z
+        one_row = sp.csc_matrix(([1.0], ([0], [v.size - 1])), shape=(1, v.size))
+        self._equations = self.program.AddLinearEqualityConstraint(
+            one_row, np.zeros(1), z
+        )
+        self._inequalities = self.program.AddLinearConstraint(
+            one_row, np.zeros(1), np.full(1, np.inf), z
         )
         # The cost is quadratic in coefficients and bandwidth, linear elsewhere.
         self._costs = {}
@@ -194,6 +160,7 @@ class Program:
         self._options = SolverOptions()
         for name, value in {
             "iterative_refinement_enable": 0,
+            "equilibrate_enable": 0,
             "tol_gap_abs": accuracy,
             "tol_gap_rel": accuracy,
             "tol_feas": accuracy / 50,
@@ -228,10 +195,15 @@ class Program:
         kinked = self.variables.kinked
         bend = kinks(bends(limited, flat, step, kinked), step[kinked])
 
-        rows = _Rows(self.variables.size)
-        self._add_ends(rows, iterate)
-        used = (bend > 0).any(axis=1) | self._add_transitions(rows, iterate, secant)
-        self._add_bandwidth(rows, iterate)
+        rows, equations = Rows(self.variables.size), Rows(self.variables.size)
+        self._add_ends(equations, iterate)
+        used = self._add_transitions(equations, iterate, secant)
+        used |= (bend > 0).any(axis=1)
+        if tr.problem.bandwidth_is_fixed:
+            alpha = self.variables.alpha_columns.reshape(-1, 1)
+            equations.equate(np.ones(alpha.shape), alpha, 0.0)
+        else:
+            self._add_bandwidth(rows, iterate)
         before = rows.count
         between = self._input_between(iterate, step)
         margins = self._add_hard(rows, iterate, derivative[:, m:], bend, between)
@@ -240,21 +212,19 @@ class Program:
         self._add_moves(rows, used)
         self._hard_margins, self._planes = margins, iterate.planes
         self._hard_margin = margins(iterate, iterate.planes)
-        rows.add(np.ones((1, 1)), np.array([[self.variables.size - 1]]), 0.0, np.inf)
-        self._matrix, self._low, high = rows.assemble()
+        rows.add(np.ones((1, 1)), np.array([[self.variables.size - 1]]), 0.0)
+        same, self._rows = equations.assemble(), rows.assemble()
         # Drake ends the process at a number that is none.
-        bounds = np.append(self._low, high)
-        self._finite = bool(
-            np.isfinite(self._matrix.data).all() and not np.isnan(bounds).any()
-        )
+        self._finite = same.finite and self._rows.finite
         if not self._finite:
             return
-        self._constraint.evaluator().UpdateCoefficients(
-            sp.csc_matrix(self._matrix), self._low, high
+        self._equations.evaluator().UpdateCoefficients(same.matrix, same.low)
+        self._inequalities.evaluator().UpdateCoefficients(
+            self._rows.matrix, self._rows.low, self._rows.high
         )
         self._update_cost(iterate, derivative[:, :m], penalty, proximity)
 
-    def _add_ends(self, rows: _Rows, iterate: Iterate) -> None:
+    def _add_ends(self, equations: Rows, iterate: Iterate) -> None:
         """Both end states, and the tube's state at the start, which is given."""
         tr, v, p = self.transcription, self.variables, self.transcription.problem
         n, m, local = tr.order, tr.outputs, iterate.local
@@ -271,11 +241,13 @@ class Program:
         for knot, part, value in wanted:
             matrix = v.local_matrix[part]
             columns = np.broadcast_to(v.knot_columns[knot], matrix.shape)
-            rows.add(matrix, columns, value, value)
+            equations.equate(matrix, columns, value)
         states = v.state_columns[0, : v.num_states * m, None]
-        rows.add(np.ones(states.shape), states, 0.0, 0.0)
+        equations.equate(np.ones(states.shape), states, 0.0)
 
-    def _add_transitions(self, rows: _Rows, iterate: Iterate, secant: float) -> Array:
+    def _add_transitions(
+        self, equations: Rows, iterate: Iterate, secant: float
+    ) -> Array:
         """The tube follows the decisions from knot to knot.
 
         Returns:
@@ -285,11 +257,11 @@ class Program:
         m, N = tr.outputs, tr.intervals
         S = v.num_states * m
         sensitivity = transitions(tr, iterate, secant=secant, kinked=v.kinked)
-        alpha = v.blocks["bandwidth"].start + np.arange(N)[:, None] * m
         columns = np.concatenate(
             [
                 v.state_columns,
-                alpha + np.arange(2 * m),
+                v.alpha_columns[:-1],
+                v.alpha_columns[1:],
                 v.coefficient_columns(np.arange(N), tr.degree + 1),
                 v.move_columns[:-1],
                 v.move_columns[1:],
@@ -304,7 +276,7 @@ class Program:
             ],
             axis=-1,
         ).reshape(N * S, -1)
-        rows.add(values, columns.repeat(S, axis=0), 0.0, 0.0)
+        equations.equate(values, columns.repeat(S, axis=0), 0.0)
         count = len(v.kinked)
         reads = (sensitivity[:, :, -2 * count :] != 0).any(axis=1)
         used = np.zeros((tr.intervals + 1, count), dtype=bool)
@@ -313,7 +285,7 @@ class Program:
             used[1:] |= reads[:, count:]
         return used
 
-    def _add_moves(self, rows: _Rows, used: Array) -> None:
+    def _add_moves(self, rows: Rows, used: Array) -> None:
         """|dx| <= e for the kinked coordinates of x*, where a row reads e."""
         v = self.variables
         for j, coordinate in enumerate(v.kinked):
@@ -325,16 +297,13 @@ class Program:
             for sign in (-1.0, 1.0):
                 values = np.broadcast_to(sign * row, columns.shape).copy()
                 values[:, -1] = 1.0
-                rows.add(values, columns, 0.0, np.inf)
+                rows.add(values, columns, 0.0)
 
-    def _add_bandwidth(self, rows: _Rows, iterate: Iterate) -> None:
+    def _add_bandwidth(self, rows: Rows, iterate: Iterate) -> None:
         """Bounds of α and of its rate."""
         tr, v, alpha = self.transcription, self.variables, iterate.bandwidth
-        columns = np.arange(alpha.size)[:, None] + v.blocks["bandwidth"].start
+        columns = v.alpha_columns.reshape(-1, 1)
         ones = np.ones(columns.shape)
-        if tr.problem.bandwidth_is_fixed:
-            rows.add(ones, columns, 0.0, 0.0)
-            return
         low, high = tr.bandwidth_low - alpha, tr.bandwidth_high - alpha
         # Where α, or its rate, is far from its limit the projection will do.
         far = alpha < (tr.bandwidth_low + tr.bandwidth_high) / 2
@@ -348,7 +317,7 @@ class Program:
 
     def _add_hard(
         self,
-        rows: _Rows,
+        rows: Rows,
         iterate: Iterate,
         derivative: Array,
         bend: Array,
@@ -388,7 +357,6 @@ class Program:
                 np.concatenate([values, np.ones(slack.shape)], axis=1),
                 np.concatenate([columns, slack], axis=1),
                 BACKOFF - margin,
-                np.inf,
             )
 
         reads = np.concatenate([v.knot_columns, v.move_columns], axis=1)
@@ -469,7 +437,6 @@ class Program:
         def at_ends(values: Array) -> Array:
             return np.concatenate([(1 - later) * values, later * values], axis=1)
 
-        alpha = v.blocks["bandwidth"].start + piece[:, None] * m + np.arange(2 * m)
         return _InputRows(
             nodes=nodes,
             piece=piece,
@@ -485,7 +452,8 @@ class Program:
             columns=np.concatenate(
                 [
                     v.coefficient_columns(piece, tr.degree + 1),
-                    alpha,
+                    v.alpha_columns[piece],
+                    v.alpha_columns[piece + 1],
                     v.state_columns[piece],
                     v.move_columns[piece],
                     v.move_columns[piece + 1],
@@ -588,15 +556,15 @@ class Program:
 
     def margins_after(self, z: Array, reached: Iterate) -> tuple[Array, Array]:
         """Margins of the relaxed rows as promised for a step, and as reached."""
-        promised = self._hard_margin + (self._matrix @ z)[self._hard] - z[-1]
+        promised = self._hard_margin + (self._rows.matrix @ z)[self._hard] - z[-1]
         return promised, self._hard_margins(reached, self._turned(z))
 
     def correct(self, z: Array, reached: Iterate) -> None:
         """Shifts the relaxed rows to what a step really led to (second order)."""
         promised, actual = self.margins_after(z, reached)
-        low = self._low.copy()
+        low = self._rows.low.copy()
         low[self._hard] -= actual - promised
-        self._constraint.evaluator().UpdateLowerBound(low)
+        self._inequalities.evaluator().UpdateLowerBound(low)
 
     def _turned(self, z: Array) -> Halfplanes:
         """The half-planes as a step turns them."""

@@ -34,6 +34,7 @@ class Variables:
         size: of z.
         num_states: S, of the tube at a knot.
         knot_columns: entries that one knot reads, ``(K, C)``.
+        alpha_columns: the bandwidth at a knot, ``(K, m)``.
         local_matrix: from these to `Local.pack`, ``(L, C)``.
         kinked: as given.
         move_columns: the moves' bounds at a knot, ``(K, len(kinked))``.
@@ -71,10 +72,11 @@ class Variables:
 
         S = self.num_states * m
         knots = np.arange(N + 1)[:, None]
+        self.alpha_columns = self.blocks["bandwidth"].start + knots * m + np.arange(m)
         self.knot_columns = np.concatenate(
             [
                 self.coefficient_columns(np.arange(N + 1), tr.degree),
-                self.blocks["bandwidth"].start + knots * m + np.arange(m),
+                self.alpha_columns,
                 self.blocks["states"].start + knots * S + np.arange(S),
             ],
             axis=1,
