@@ -10,7 +10,7 @@ import pytest
 from dtmpc_drake.models import DragDoubleIntegrator
 from dtmpc_drake.obstacles import Cylinder, Sphere
 from dtmpc_drake.planning import Problem, certify, plan, plan_problem
-from dtmpc_drake.planning.scp import Program, kinked_coordinates, tangent_space
+from dtmpc_drake.planning.scp import Program, Shape, kinked_coordinates, tangent_space
 from dtmpc_drake.planning.sensitivity import transitions
 from dtmpc_drake.planning.transcription import Transcription, separating_normals
 from dtmpc_drake.scenario import Planner, Scenario, Waypoint, load_scenario
@@ -357,7 +357,7 @@ def test_a_program_predicts_every_limit_to_first_order(drag_error_bound):
         kinked=kinked_coordinates(tr),
         accuracy=1e-6,
     )
-    program.update(base, penalty=1e3, proximity=1.0, secant=1e-3)
+    program.update(base, Shape(proximity=1.0, secant=1e-3))
     z, _ = program.solve()
     z *= 1e-3 / np.abs(z[program.variables.blocks["coefficients"]]).max()
     promised, actual = program.margins_after(

@@ -38,6 +38,8 @@ TOLERANCE = 0.025
 """Iterations stop when the next one promises less than this part of the cost."""
 COARSEST = 12
 """Grids are halved for a first solution, down to no less than this."""
+NEAREST = 0.3
+"""Reach of the programs near a solution; on coarser grids it is larger, see `Shape`."""
 COARSE_ITERATIONS = 2
 """On each of the coarser grids: they only have to find the way."""
 
@@ -275,7 +277,7 @@ def _sequential_convex(
     while warm_start is None and grids[0] % 2 == 0 and grids[0] >= 2 * COARSEST:
         grids.insert(0, grids[0] // 2)
     decisions: tuple[Array, Array] | None = None
-    for intervals in grids:
+    for level, intervals in enumerate(grids):
         transcription = Transcription(problem, intervals)
         if decisions is None:
             decisions = _first_decisions(transcription, warm_start)
@@ -287,6 +289,7 @@ def _sequential_convex(
             max_iterations=settings.max_iterations if last else COARSE_ITERATIONS,
             report=report,
             coarse=not last,
+            reach=NEAREST if warm_start is not None else max(NEAREST, 0.5**level),
             # Rather than insist, look for another way.
             max_penalty=10 * PENALTY if free else MAX_PENALTY,
             deadline=deadline,

@@ -29,6 +29,7 @@ from dtmpc_drake.planning.rows import Rows
 from dtmpc_drake.planning.sensitivity import kinks, transitions
 from dtmpc_drake.planning.splines import Sparse
 from dtmpc_drake.planning.transcription import (
+    REACH,
     Halfplanes,
     Iterate,
     Local,
@@ -68,6 +69,32 @@ SPEED_REACH, INPUT_REACH = 0.7, 1.0
 """Knots with more margin than this are left out of a program, m/s and m/s²."""
 BETWEEN, BETWEEN_REACH = 4, 0.3
 """Parts of a piece at whose ends the input is limited too, and with which margin."""
+BANDWIDTH_REACH = 0.6
+"""Bandwidths that are further above their lower bound, in parts of their range, are
+left to the projection."""
+RIGID = 1e-2
+"""A start that violates no more than this is hoped to need no slack."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Shape:
+    """What the next convex program looks like.
+
+    Attributes:
+        penalty: weight of the slack.
+        proximity: weight of the square of the step (a soft trust region).
+        secant: half-width of the differences along the state, in its units.
+        reach: part of the reaches within which limits enter at all.  A limit that
+            turns out to be missed enters the next program.
+        rigid: whether there is no slack.  Without it a program takes a third fewer
+            iterations, but it may be infeasible.
+    """
+
+    penalty: float = PENALTY
+    proximity: float = 0.0
+    secant: float = SECANT
+    reach: float = 1.0
+    rigid: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,15 +194,13 @@ class Program:
         }.items():
             self._options.SetOption(ClarabelSolver.id(), name, value)
 
-    def update(
-        self, iterate: Iterate, penalty: float, proximity: float, secant: float
-    ) -> None:
+    def update(self, iterate: Iterate, shape: Shape) -> None:
         """Linearises around an iterate; z is the deviation from it."""
         tr = self.transcription
         n, m = tr.order, tr.outputs
         flat = iterate.local.pack()
         step = np.full(flat.shape[1], 1e-6)
-        step[: n * m] = secant
+        step[: n * m] = shape.secant
 
         def limited(x: Array) -> Array:
             local = Local.unpack(x, n, m)
@@ -197,22 +222,30 @@ class Program:
 
         rows, equations = Rows(self.variables.size), Rows(self.variables.size)
         self._add_ends(equations, iterate)
-        used = self._add_transitions(equations, iterate, secant)
+        used = self._add_transitions(equations, iterate, shape.secant)
         used |= (bend > 0).any(axis=1)
         if tr.problem.bandwidth_is_fixed:
             alpha = self.variables.alpha_columns.reshape(-1, 1)
             equations.equate(np.ones(alpha.shape), alpha, 0.0)
         else:
-            self._add_bandwidth(rows, iterate)
+            self._add_bandwidth(rows, iterate, shape.reach)
         before = rows.count
-        between = self._input_between(iterate, step)
-        margins = self._add_hard(rows, iterate, derivative[:, m:], bend, between)
+        between = self._input_between(iterate, step, shape.reach)
+        self._planes = iterate.planes.nearer_than(REACH * shape.reach)
+        margins = self._add_hard(
+            rows, iterate, derivative[:, m:], bend, between, shape.reach
+        )
         self._hard = slice(before, rows.count)
         used[between.piece] = used[between.piece + 1] = True
         self._add_moves(rows, used)
-        self._hard_margins, self._planes = margins, iterate.planes
-        self._hard_margin = margins(iterate, iterate.planes)
-        rows.add(np.ones((1, 1)), np.array([[self.variables.size - 1]]), 0.0)
+        self._hard_margins = margins
+        self._hard_margin = margins(iterate, self._planes)
+        slack = np.ones((1, 1)), np.array([[self.variables.size - 1]])
+        self._rigid = shape.rigid
+        if shape.rigid:
+            equations.equate(*slack, 0.0)
+        else:
+            rows.add(*slack, 0.0)
         same, self._rows = equations.assemble(), rows.assemble()
         # Drake ends the process at a number that is none.
         self._finite = same.finite and self._rows.finite
@@ -222,7 +255,7 @@ class Program:
         self._inequalities.evaluator().UpdateCoefficients(
             self._rows.matrix, self._rows.low, self._rows.high
         )
-        self._update_cost(iterate, derivative[:, :m], penalty, proximity)
+        self._update_cost(iterate, derivative[:, :m], shape)
 
     def _add_ends(self, equations: Rows, iterate: Iterate) -> None:
         """Both end states, and the tube's state at the start, which is given."""
@@ -299,16 +332,18 @@ class Program:
                 values[:, -1] = 1.0
                 rows.add(values, columns, 0.0)
 
-    def _add_bandwidth(self, rows: Rows, iterate: Iterate) -> None:
+    def _add_bandwidth(self, rows: Rows, iterate: Iterate, reach: float) -> None:
         """Bounds of α and of its rate."""
         tr, v, alpha = self.transcription, self.variables, iterate.bandwidth
         columns = v.alpha_columns.reshape(-1, 1)
         ones = np.ones(columns.shape)
         low, high = tr.bandwidth_low - alpha, tr.bandwidth_high - alpha
         # Where α, or its rate, is far from its limit the projection will do.
-        far = alpha < (tr.bandwidth_low + tr.bandwidth_high) / 2
-        high = np.where(far, np.inf, high)
-        rows.add(ones, columns, low.ravel(), high.ravel())
+        span = tr.bandwidth_high - tr.bandwidth_low
+        high = np.where(high > span / 2, np.inf, high).ravel()
+        low = np.where(low < -BANDWIDTH_REACH * reach * span, -np.inf, low).ravel()
+        near = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
+        rows.add(ones[near], columns[near], low[near], high[near])
         change, limit = np.diff(alpha, axis=0).ravel(), tr.bandwidth_change
         fast = np.flatnonzero(np.abs(change) > RATE_REACH * limit)
         pairs = columns[fast] + [0, tr.outputs]
@@ -322,6 +357,7 @@ class Program:
         derivative: Array,
         bend: Array,
         between: _InputRows,
+        reach: float,
     ) -> Callable[[Iterate, Halfplanes], Array]:
         """Input, speed and obstacles, each relaxed by the shared slack.
 
@@ -332,11 +368,11 @@ class Program:
         tr, v = self.transcription, self.variables
         n, m = tr.order, tr.outputs
         input_margin = iterate.input_margin[:: tr.tube_steps]
-        near = np.flatnonzero(input_margin < INPUT_REACH)
-        close = iterate.speed_margin < SPEED_REACH
+        near = np.flatnonzero(input_margin < INPUT_REACH * reach)
+        close = iterate.speed_margin < SPEED_REACH * reach
         close[1:, 0] = False  # the last control point of the piece before
         speeds = np.nonzero(close)
-        planes = iterate.planes
+        planes = self._planes
         trusted = iterate.error_margin[:: tr.tube_steps]
 
         def margins(at: Iterate, planes: Halfplanes) -> Array:
@@ -403,7 +439,7 @@ class Program:
         add(*self._halfplane_rows(planes), planes.margin.ravel())
         return margins
 
-    def _input_between(self, iterate: Iterate, step: Array) -> _InputRows:
+    def _input_between(self, iterate: Iterate, step: Array, reach: float) -> _InputRows:
         """The input within the pieces that are near its limit.
 
         At some fixed nodes, and where it peaks.  The reference there is linear in
@@ -416,7 +452,7 @@ class Program:
         chosen = np.zeros(inner.shape, dtype=bool)
         chosen[:, tr.tube_steps // BETWEEN - 1 :: tr.tube_steps // BETWEEN] = True
         chosen[np.arange(len(inner)), inner.argmin(axis=1)] = True
-        piece, node = np.nonzero(chosen & (inner < BETWEEN_REACH))
+        piece, node = np.nonzero(chosen & (inner < BETWEEN_REACH * reach))
         nodes = piece * tr.tube_steps + node + 1
         if not len(piece):
             none = np.zeros((0, 1), dtype=int)
@@ -496,9 +532,7 @@ class Program:
             columns.repeat(controls, axis=0),
         )
 
-    def _update_cost(
-        self, iterate: Iterate, feedforward: Array, penalty: float, proximity: float
-    ) -> None:
+    def _update_cost(self, iterate: Iterate, feedforward: Array, shape: Shape) -> None:
         """Gauss-Newton model of the cost, exact where it is quadratic."""
         tr, v, p = self.transcription, self.variables, self.transcription.problem
         weights = np.repeat(tr.weights, tr.outputs)
@@ -510,7 +544,7 @@ class Program:
         self._residual_rows = _csr(values, columns, v.blocks["coefficients"].stop)
         self._residual = scale * u
         quadratic = (self._residual_rows.T @ self._residual_rows).toarray()
-        quadratic[np.diag_indices(len(quadratic))] += proximity + 1e-9
+        quadratic[np.diag_indices(len(quadratic))] += shape.proximity + 1e-9
         self._costs["coefficients"].evaluator().UpdateCoefficients(
             2 * quadratic,
             2 * (self._residual_rows.T @ self._residual),
@@ -520,12 +554,12 @@ class Program:
         self._weight = p.bandwidth_weight * weights
         self._excess = (iterate.bandwidth - p.bandwidth_floor).ravel()
         self._costs["bandwidth"].evaluator().UpdateCoefficients(
-            np.diag(2 * (self._weight + proximity)),
+            np.diag(2 * (self._weight + shape.proximity)),
             2 * self._weight * self._excess,
             0.0,
             is_convex=True,
         )
-        self._slack_cost.evaluator().UpdateCoefficients(np.full(1, penalty))
+        self._slack_cost.evaluator().UpdateCoefficients(np.full(1, shape.penalty))
 
     def solve(self, deadline: Deadline = NEVER) -> tuple[Array | None, str]:
         """The step z, or None, and the solver's status."""
@@ -547,6 +581,8 @@ class Program:
             # A step of almost solved programs is still checked by the merit.
             if status in ("Solved", "AlmostSolved"):
                 return np.asarray(result.get_x_val()), status
+            if self._rigid and "PrimalInfeasible" in status:
+                break  # as may be
         return None, status
 
     @property
@@ -755,6 +791,7 @@ def iterate_to_convergence(
     report: Callable[[Iteration], None],
     max_penalty: float = MAX_PENALTY,
     coarse: bool = False,
+    reach: float = 1.0,
     deadline: Deadline = NEVER,
 ) -> Result:
     """Runs the sequential convex program from a start.
@@ -769,6 +806,7 @@ def iterate_to_convergence(
         max_penalty: largest weight of the slack that is tried.
         coarse: solve the programs less accurately, and do without the
             second-order correction of steps that fail.
+        reach: of the programs, see `Shape`.
         deadline: after which no convex program is begun.
     """
     tr = transcription
@@ -786,30 +824,37 @@ def iterate_to_convergence(
     )
     merits: list[float] = []
     stuck = failures = 0
-    penalty, proximity, secant = PENALTY, 0.0, SECANT
+    shape = Shape(reach=reach, rigid=worst < RIGID)
     for _ in range(max_iterations):
         if deadline.passed:
             return Result(current, False, worst, out_of_time=True)
         t0 = clock()
-        program.update(current, penalty, proximity, secant)
+        program.update(current, shape)
         t1 = clock()
         z, status = program.solve(deadline)
+        if z is None and shape.rigid:
+            shape = dataclasses.replace(shape, rigid=False)
+            program.update(current, shape)
+            z, status = program.solve(deadline)
         t2 = clock()
         if z is None:
             # Numerical trouble: a shorter step is an easier program.
             failures += 1
             if failures > MAX_FAILURES:
                 return Result(current, False, worst, status)
-            proximity = max(10 * proximity, 0.1)
+            proximity = max(10 * shape.proximity, 0.1)
+            shape = dataclasses.replace(shape, proximity=proximity)
             continue
         slack = max(float(z[-1]), 0.0)
-        merit = current.cost + penalty * _excess(worst)
-        predicted = merit - (program.model_cost(z) + penalty * _excess(slack))
+        merit = current.cost + shape.penalty * _excess(worst)
+        predicted = merit - (program.model_cost(z) + shape.penalty * _excess(slack))
         little = tolerance * max(current.cost, 1e-3)
         # Where there is next to nothing to gain, only the whole step is tried.
         last = predicted <= little and worst <= BACKOFF
         tries = 1 if last else 2 if coarse else 3
-        step = _walk(program, current, z, merit, predicted, penalty, tries, deadline)
+        step = _walk(
+            program, current, z, merit, predicted, shape.penalty, tries, deadline
+        )
         z, trial, trial_worst, fraction = step
         flat = current.local.pack() + program.variables.local(z)
         defect = np.abs(flat - trial.local.pack())
@@ -824,7 +869,7 @@ def iterate_to_convergence(
                 defect=float(defect[:, bound].max()),
                 step=float(np.abs(trial.coefficients - current.coefficients).max()),
                 fraction=fraction,
-                proximity=proximity,
+                proximity=shape.proximity,
                 predicted=predicted,
                 update_time=t1 - t0,
                 solve_time=t2 - t1,
@@ -834,21 +879,23 @@ def iterate_to_convergence(
         )
         moved = np.abs(trial.local.state - current.local.state)[:, 1:].max(initial=0.0)
         secant = float(np.clip(moved, SECANT / 20, SECANT))
+        shape = dataclasses.replace(shape, secant=secant)
         merits.append(merit)
         current, worst = trial, trial_worst
         stuck = 0 if fraction else stuck + 1
-        reached = current.cost + penalty * _excess(worst)
+        reached = current.cost + shape.penalty * _excess(worst)
         slow = len(merits) > 2 and merits[-3] - reached <= little
         done = predicted <= little or stuck > 3
         if worst <= BACKOFF and (done or (slow and not stuck)):
             return Result(current, True, worst)
         if done:
-            if penalty >= max_penalty:
+            if shape.penalty >= max_penalty:
                 return Result(current, False, worst)
-            penalty, stuck = 10 * penalty, 0
+            shape, stuck = dataclasses.replace(shape, penalty=10 * shape.penalty), 0
             merits.clear()
         if fraction < 0.3:
-            proximity = max(4 * proximity, 0.1)
+            proximity = max(4 * shape.proximity, 0.1)
+            shape = dataclasses.replace(shape, proximity=proximity)
         elif fraction == 1.0:
-            proximity = proximity / 4
+            shape = dataclasses.replace(shape, proximity=shape.proximity / 4)
     return Result(current, False, worst)

@@ -119,6 +119,12 @@ class Halfplanes:
     tube_gradient: Array
     hull: Array
 
+    def nearer_than(self, reach: float) -> Halfplanes:
+        """Those with less margin than this somewhere, in m."""
+        near = self.margin.min(axis=1, initial=np.inf) < reach
+        fields = dataclasses.fields(self)
+        return Halfplanes(**{f.name: getattr(self, f.name)[near] for f in fields})
+
 
 @dataclasses.dataclass(frozen=True)
 class Iterate:
