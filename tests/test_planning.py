@@ -10,9 +10,11 @@ import pytest
 from dtmpc_drake.models import DragDoubleIntegrator
 from dtmpc_drake.obstacles import Cylinder, Sphere
 from dtmpc_drake.planning import Problem, certify, plan, plan_problem
+from dtmpc_drake.planning.qp import borrowed
 from dtmpc_drake.planning.scp import Program, Shape, kinked_coordinates, tangent_space
 from dtmpc_drake.planning.sensitivity import transitions
 from dtmpc_drake.planning.transcription import Transcription, separating_normals
+from dtmpc_drake.planning.variables import Variables
 from dtmpc_drake.scenario import Planner, Scenario, Waypoint, load_scenario
 from tests.models_for_tests import PlanarOnSlope, ThirdOrderPlanar, make_problem
 
@@ -351,14 +353,13 @@ def test_a_program_predicts_every_limit_to_first_order(drag_error_bound):
     wiggle = 0.02 * np.sin(np.arange(29 + 2)[:, None] + np.arange(3))
     coefficients, bandwidth = tr.straight_line()
     base = tr.evaluate(tr.with_ends(coefficients + wiggle), bandwidth - 0.5)
-    program = Program(
-        tr,
-        planes=len(base.planes.piece),
-        kinked=kinked_coordinates(tr),
-        accuracy=1e-6,
+    variables = Variables(
+        tr, planes=len(base.planes.piece), kinked=kinked_coordinates(tr)
     )
-    program.update(base, Shape(proximity=1.0, secant=1e-3))
-    z, _ = program.solve()
+    with borrowed(variables.layout) as solver:
+        program = Program(tr, variables, solver, accuracy=1e-6)
+        program.update(base, Shape(proximity=1.0, secant=1e-3))
+        z, _ = program.solve()
     z *= 1e-3 / np.abs(z[program.variables.blocks["coefficients"]]).max()
     promised, actual = program.margins_after(
         z, tr.evaluate(*program.decisions(base, z))

@@ -11,7 +11,7 @@ import pytest
 from dtmpc_drake.models import IntegratorChain
 from dtmpc_drake.planning import nlp, plan, plan_problem, replan
 from dtmpc_drake.planning.deadline import Deadline
-from dtmpc_drake.planning.scp import iterate_to_convergence
+from dtmpc_drake.planning.scp import Effort, iterate_to_convergence
 from dtmpc_drake.planning.transcription import Transcription
 from dtmpc_drake.scenario import (
     Cylinder,
@@ -76,8 +76,7 @@ def test_no_convex_program_is_begun_after_the_deadline():
     result = iterate_to_convergence(
         transcription,
         transcription.straight_line(),
-        tolerance=1e-9,
-        max_iterations=10,
+        effort=Effort(tolerance=1e-9, max_iterations=10),
         report=found.append,
         deadline=Deadline.after(0.0),
     )

@@ -32,7 +32,7 @@ from dtmpc_drake.plan import Plan
 from dtmpc_drake.planning.certificate import certify
 from dtmpc_drake.planning.deadline import NEVER, Deadline
 from dtmpc_drake.planning.problem import Problem
-from dtmpc_drake.planning.scp import Iteration, iterate_to_convergence
+from dtmpc_drake.planning.scp import Effort, Iteration, iterate_to_convergence
 from dtmpc_drake.planning.sides import NEITHER, Way, propose, sides_of
 from dtmpc_drake.planning.transcription import Guess, Transcription
 from dtmpc_drake.scenario import Planner
@@ -344,10 +344,8 @@ def _solve_coarsely(
     result = iterate_to_convergence(
         transcription,
         decisions,
-        tolerance=0.01,
-        max_iterations=ITERATIONS,
+        effort=Effort(tolerance=0.01, max_iterations=ITERATIONS, coarse=True),
         report=history.append,
-        coarse=True,
         deadline=deadline,
     )
     path = Way.along(way.sides, result.iterate.reference[:, 0])

@@ -18,6 +18,7 @@ from dtmpc_drake.planning.best_side import (
     plan_best_side,
 )
 from dtmpc_drake.planning.certificate import Certificate, certify
+from dtmpc_drake.planning.curvature import Multipliers
 from dtmpc_drake.planning.deadline import Deadline
 from dtmpc_drake.planning.nlp import solve_nlp
 from dtmpc_drake.planning.problem import Problem
@@ -25,6 +26,7 @@ from dtmpc_drake.planning.scp import (
     BACKOFF,
     MAX_PENALTY,
     PENALTY,
+    Effort,
     Iteration,
     Result,
     iterate_to_convergence,
@@ -277,6 +279,7 @@ def _sequential_convex(
     while warm_start is None and grids[0] % 2 == 0 and grids[0] >= 2 * COARSEST:
         grids.insert(0, grids[0] // 2)
     decisions: tuple[Array, Array] | None = None
+    multipliers: Multipliers | None = None
     for level, intervals in enumerate(grids):
         transcription = Transcription(problem, intervals)
         if decisions is None:
@@ -285,16 +288,20 @@ def _sequential_convex(
         result = iterate_to_convergence(
             transcription,
             decisions,
-            tolerance=TOLERANCE,
-            max_iterations=settings.max_iterations if last else COARSE_ITERATIONS,
+            effort=Effort(
+                tolerance=TOLERANCE,
+                max_iterations=settings.max_iterations if last else COARSE_ITERATIONS,
+                coarse=not last,
+                reach=NEAREST if warm_start is not None else max(NEAREST, 0.5**level),
+                # Rather than insist, look for another way.
+                max_penalty=10 * PENALTY if free else MAX_PENALTY,
+            ),
             report=report,
-            coarse=not last,
-            reach=NEAREST if warm_start is not None else max(NEAREST, 0.5**level),
-            # Rather than insist, look for another way.
-            max_penalty=10 * PENALTY if free else MAX_PENALTY,
+            multipliers=multipliers,
             deadline=deadline,
         )
         if not last:
+            multipliers = result.multipliers
             decisions = (
                 splines.refine(result.iterate.coefficients, transcription.degree),
                 _doubled(result.iterate.bandwidth),
@@ -310,10 +317,12 @@ def _sequential_convex(
         result = iterate_to_convergence(
             transcription,
             (start.coefficients, start.bandwidth),
-            tolerance=TOLERANCE,
-            max_iterations=settings.max_iterations,
+            effort=Effort(
+                tolerance=TOLERANCE,
+                max_iterations=settings.max_iterations,
+                max_penalty=10 * PENALTY if feasible else MAX_PENALTY,
+            ),
             report=report,
-            max_penalty=10 * PENALTY if feasible else MAX_PENALTY,
             deadline=deadline,
         )
         if feasible and result.violation > BACKOFF:

@@ -10,24 +10,22 @@ rate limit are convex in the decisions, so every iterate obeys them.
 from __future__ import annotations
 
 import dataclasses
-import logging
 import time
 from collections.abc import Callable
 
 import numpy as np
-import scipy.sparse as sp
-from pydrake.solvers import (
-    ClarabelSolver,
-    MathematicalProgram,
-    SolveInParallel,
-    SolverOptions,
-)
 
-from dtmpc_drake.models import Array, bends, jacobian
+from dtmpc_drake.models import Array, bends
+from dtmpc_drake.planning.curvature import (
+    Multipliers,
+    input_curvature,
+    tube_curvature,
+)
 from dtmpc_drake.planning.deadline import NEVER, Deadline
+from dtmpc_drake.planning.qp import QuadraticProgram, borrowed
 from dtmpc_drake.planning.rows import Rows
 from dtmpc_drake.planning.sensitivity import kinks, transitions
-from dtmpc_drake.planning.splines import Sparse
+from dtmpc_drake.planning.slopes import local_slopes
 from dtmpc_drake.planning.transcription import (
     REACH,
     Halfplanes,
@@ -37,23 +35,20 @@ from dtmpc_drake.planning.transcription import (
 )
 from dtmpc_drake.planning.variables import Variables
 
-# Drake tells the world how every program ended; here that is in the history.
-logging.getLogger("drake").addFilter(
-    lambda record: not record.getMessage().startswith("Clarabel returns")
-)
-
 PENALTY = 1e3
 """First weight of the slack; raised while a converged plan still needs slack."""
 MAX_PENALTY = 1e6
 BACKOFF = 3e-4
 """How much the programs ask for beyond every limit, in m, m/s and m/s², so that
 an iterate that is feasible to this tolerance keeps the limit itself."""
+INPUT_SCALE = 3.0
+"""So much violation of the input's limit, in m/s^n, weighs like one metre."""
 ROTATION = 1.0
 """Weight of a half-plane's rotation, in place of its second-order loss."""
 NEXT_TO_NOTHING = 1e-4
 """Weight of moves, which are bounded from below only."""
-GROUP = 100
-"""So many moves or rotations share a cost."""
+SIMILAR = 16
+"""Programs have room for half-planes in multiples of this, so that they are alike."""
 SECANT = 0.1
 """Half-width of the differences along the state, in its units.  Model errors
 often have a kink at rest; a derivative would not see it, a secant does."""
@@ -142,65 +137,39 @@ class _InputRows:
 
 
 class Program:
-    """The convex program, built once; every iteration updates coefficients."""
+    """The convex program around one iterate after the other.
+
+    Args:
+        transcription: of the problem.
+        variables: of the program.
+        solver: of their layout.
+        accuracy: of the solutions, see `QuadraticProgram.solve`.
+
+    Attributes:
+        multipliers: of the last solution.
+    """
 
     def __init__(
         self,
         transcription: Transcription,
+        variables: Variables,
+        solver: QuadraticProgram,
         *,
-        planes: int,
-        kinked: Array,
         accuracy: float,
     ) -> None:
-        self.transcription = transcription
-        self.variables = Variables(transcription, planes=planes, kinked=kinked)
-        v = self.variables
-        self.program = MathematicalProgram()
-        z = self.program.NewContinuousVariables(v.size, "z")
-        one_row = sp.csc_matrix(([1.0], ([0], [v.size - 1])), shape=(1, v.size))
-        self._equations = self.program.AddLinearEqualityConstraint(
-            one_row, np.zeros(1), z
-        )
-        self._inequalities = self.program.AddLinearConstraint(
-            one_row, np.zeros(1), np.full(1, np.inf), z
-        )
-        # The cost is quadratic in coefficients and bandwidth, linear elsewhere.
-        self._costs = {}
-        for name in ("coefficients", "bandwidth"):
-            block = z[v.blocks[name]]
-            self._costs[name] = self.program.AddQuadraticCost(
-                np.eye(len(block)), np.zeros(len(block)), block, is_convex=True
-            )
+        self.transcription, self.variables = transcription, variables
+        self.multipliers = Multipliers.none(transcription)
+        self._solver, self._accuracy = solver, accuracy
         for name, weight in (("moves", NEXT_TO_NOTHING), ("rotation", ROTATION)):
-            block = z[v.blocks[name]]
-            # A cost's matrix is dense, so there is one for every few variables.
-            for first in range(0, len(block), GROUP):
-                group = block[first : first + GROUP]
-                self.program.AddQuadraticCost(
-                    2 * weight * np.eye(len(group)),
-                    np.zeros(len(group)),
-                    group,
-                    is_convex=True,
-                )
-        self._slack_cost = self.program.AddLinearCost(np.ones(1), z[-1:])
-        self._z = z
-        self._options = SolverOptions()
-        for name, value in {
-            "iterative_refinement_enable": 0,
-            "equilibrate_enable": 0,
-            "tol_gap_abs": accuracy,
-            "tol_gap_rel": accuracy,
-            "tol_feas": accuracy / 50,
-        }.items():
-            self._options.SetOption(ClarabelSolver.id(), name, value)
+            if name in dict(variables.layout.costs):
+                width = dict(variables.layout.costs)[name].width
+                solver.set_cost(name, quadratic=2 * weight * np.eye(width))
 
     def update(self, iterate: Iterate, shape: Shape) -> None:
         """Linearises around an iterate; z is the deviation from it."""
         tr = self.transcription
-        n, m = tr.order, tr.outputs
-        flat = iterate.local.pack()
-        step = np.full(flat.shape[1], 1e-6)
-        step[: n * m] = shape.secant
+        n, m, v = tr.order, tr.outputs, self.variables
+        slopes = local_slopes(tr.problem, iterate.local, shape.secant)
 
         def limited(x: Array) -> Array:
             local = Local.unpack(x, n, m)
@@ -210,15 +179,13 @@ class Program:
             parts.append(-tr.error_margin(local.state, local.error_bound))
             return np.concatenate(parts, axis=-1)
 
-        def outputs(x: Array) -> Array:
-            return np.concatenate(
-                [tr.feedforward(Local.unpack(x, n, m)), limited(x)], axis=-1
-            )
-
         # By the entries of z that each knot reads, ``(K, r, C)``.
-        derivative = jacobian(outputs, flat, step) @ self.variables.local_matrix
-        kinked = self.variables.kinked
-        bend = kinks(bends(limited, flat, step, kinked), step[kinked])
+        limits = [slopes.used_input[:, None], slopes.used_rate, -slopes.error_margin]
+        derivative = np.concatenate(limits, axis=1) @ v.local_matrix
+        bend = np.zeros((*derivative.shape[:2], 0))
+        if len(v.kinked):
+            flat = iterate.local.pack()
+            bend = kinks(bends(limited, flat, shape.secant, v.kinked), shape.secant)
 
         rows, equations = Rows(self.variables.size), Rows(self.variables.size)
         self._add_ends(equations, iterate)
@@ -230,11 +197,9 @@ class Program:
         else:
             self._add_bandwidth(rows, iterate, shape.reach)
         before = rows.count
-        between = self._input_between(iterate, step, shape.reach)
+        between = self._input_between(iterate, shape)
         self._planes = iterate.planes.nearer_than(REACH * shape.reach)
-        margins = self._add_hard(
-            rows, iterate, derivative[:, m:], bend, between, shape.reach
-        )
+        margins = self._add_hard(rows, iterate, derivative, bend, between, shape.reach)
         self._hard = slice(before, rows.count)
         used[between.piece] = used[between.piece + 1] = True
         self._add_moves(rows, used)
@@ -251,11 +216,8 @@ class Program:
         self._finite = same.finite and self._rows.finite
         if not self._finite:
             return
-        self._equations.evaluator().UpdateCoefficients(same.matrix, same.low)
-        self._inequalities.evaluator().UpdateCoefficients(
-            self._rows.matrix, self._rows.low, self._rows.high
-        )
-        self._update_cost(iterate, derivative[:, :m], shape)
+        self._solver.set_rows(same, self._rows)
+        self._update_cost(iterate, slopes.feedforward, shape)
 
     def _add_ends(self, equations: Rows, iterate: Iterate) -> None:
         """Both end states, and the tube's state at the start, which is given."""
@@ -374,13 +336,14 @@ class Program:
         speeds = np.nonzero(close)
         planes = self._planes
         trusted = iterate.error_margin[:: tr.tube_steps]
+        input_nodes = np.concatenate([near * tr.tube_steps, between.nodes])
+        self._input_nodes = input_nodes
 
         def margins(at: Iterate, planes: Halfplanes) -> Array:
             same = tr.margins(at, planes)
             return np.concatenate(
                 [
-                    at.input_margin[:: tr.tube_steps][near],
-                    at.input_margin[between.nodes],
+                    at.input_margin[input_nodes] / INPUT_SCALE,
                     at.error_margin[:: tr.tube_steps].ravel(),
                     at.speed_margin[speeds],
                     same.margin.ravel(),
@@ -397,8 +360,13 @@ class Program:
 
         reads = np.concatenate([v.knot_columns, v.move_columns], axis=1)
         by_reads = np.concatenate([derivative, bend], axis=2)
-        add(-by_reads[near, 0], reads[near], input_margin[near])
-        add(between.values, between.columns, iterate.input_margin[between.nodes])
+        scaled = iterate.input_margin / INPUT_SCALE
+        add(
+            -by_reads[near, 0] / INPUT_SCALE,
+            reads[near],
+            scaled[near * tr.tube_steps],
+        )
+        add(between.values / INPUT_SCALE, between.columns, scaled[between.nodes])
         count = trusted.shape[1]
         add(
             -by_reads[:, by_reads.shape[1] - count :].reshape(-1, reads.shape[1]),
@@ -439,7 +407,7 @@ class Program:
         add(*self._halfplane_rows(planes), planes.margin.ravel())
         return margins
 
-    def _input_between(self, iterate: Iterate, step: Array, reach: float) -> _InputRows:
+    def _input_between(self, iterate: Iterate, shape: Shape) -> _InputRows:
         """The input within the pieces that are near its limit.
 
         At some fixed nodes, and where it peaks.  The reference there is linear in
@@ -452,18 +420,22 @@ class Program:
         chosen = np.zeros(inner.shape, dtype=bool)
         chosen[:, tr.tube_steps // BETWEEN - 1 :: tr.tube_steps // BETWEEN] = True
         chosen[np.arange(len(inner)), inner.argmin(axis=1)] = True
-        piece, node = np.nonzero(chosen & (inner < BETWEEN_REACH * reach))
+        piece, node = np.nonzero(chosen & (inner < BETWEEN_REACH * shape.reach))
         nodes = piece * tr.tube_steps + node + 1
         if not len(piece):
             none = np.zeros((0, 1), dtype=int)
             return _InputRows(nodes, piece, np.zeros((0, 1)), none)
-        flat = tr.local_at(iterate, nodes).pack()
+        local = tr.local_at(iterate, nodes)
 
         def used_input(x: Array) -> Array:
             return tr.used_input(Local.unpack(x, n, m))[..., None]
 
-        slope = Local.unpack(jacobian(used_input, flat, step)[:, 0], n, m)
-        bend = kinks(bends(used_input, flat, step, v.kinked), step[v.kinked])[:, 0]
+        slopes = local_slopes(tr.problem, local, shape.secant)
+        slope = Local.unpack(slopes.used_input, n, m)
+        bend = np.zeros((len(nodes), 0))
+        if len(v.kinked):
+            bend = bends(used_input, local.pack(), shape.secant, v.kinked)[:, 0]
+            bend = kinks(bend, shape.secant)
         rows = np.concatenate([slope.state, slope.highest[:, None]], axis=1)
         coefficients = np.einsum("pkc,pkm->pcm", tr.basis_at(nodes), rows)
         states = np.einsum("pkm,kms->ps", slope.error_bound, np.stack(v.bounds))
@@ -532,58 +504,69 @@ class Program:
             columns.repeat(controls, axis=0),
         )
 
-    def _update_cost(self, iterate: Iterate, feedforward: Array, shape: Shape) -> None:
-        """Gauss-Newton model of the cost, exact where it is quadratic."""
+    def _update_cost(self, iterate: Iterate, by_local: Array, shape: Shape) -> None:
+        """Gauss-Newton model of the cost, exact where it is quadratic.
+
+        And the curvature of the norms in the rows, where Δ varies: elsewhere the
+        tube has nothing to trade, and as many programs are needed without it.
+        """
         tr, v, p = self.transcription, self.variables, self.transcription.problem
-        weights = np.repeat(tr.weights, tr.outputs)
-        u = tr.feedforward(iterate.local).ravel()
-        scale = np.sqrt(p.input_weight * weights)
-        width = tr.degree * tr.outputs
-        values = feedforward[:, :, :width].reshape(len(u), width) * scale[:, None]
-        columns = v.knot_columns[:, :width].repeat(tr.outputs, axis=0)
-        self._residual_rows = _csr(values, columns, v.blocks["coefficients"].stop)
-        self._residual = scale * u
-        quadratic = (self._residual_rows.T @ self._residual_rows).toarray()
-        quadratic[np.diag_indices(len(quadratic))] += shape.proximity + 1e-9
-        self._costs["coefficients"].evaluator().UpdateCoefficients(
-            2 * quadratic,
-            2 * (self._residual_rows.T @ self._residual),
-            0.0,
-            is_convex=True,
+        m, N, width = tr.outputs, tr.intervals, tr.degree * tr.outputs
+        scale = np.sqrt(p.input_weight * tr.weights)[:, None]
+        self._residual = scale * tr.feedforward(iterate.local)
+        self._slopes = scale[..., None] * (by_local @ v.local_matrix[:, :width])
+        square = 2 * (self._slopes.swapaxes(1, 2) @ self._slopes)
+        gradient = 2 * (self._residual[:, None] @ self._slopes)[:, 0]
+        # Knots read what acts on the piece after them, and the last one before it.
+        window = (tr.degree + 1) * m
+        quadratic, linear = np.zeros((N, window, window)), np.zeros((N, window))
+        quadratic[:, :width, :width], linear[:, :width] = square[:-1], gradient[:-1]
+        quadratic[-1, m:, m:] += square[-1]
+        linear[-1, m:] += gradient[-1]
+        if p.model.error_bound_varies:
+            prices = self.multipliers
+            quadratic += input_curvature(tr, iterate, prices)
+            bow = tube_curvature(tr, iterate, self._planes, v, prices)
+            self._solver.set_cost("states", quadratic=bow)
+        self._solver.set_cost(
+            "coefficients",
+            quadratic=quadratic,
+            linear=linear,
+            diagonal=2 * (shape.proximity + 1e-9),
         )
-        self._weight = p.bandwidth_weight * weights
-        self._excess = (iterate.bandwidth - p.bandwidth_floor).ravel()
-        self._costs["bandwidth"].evaluator().UpdateCoefficients(
-            np.diag(2 * (self._weight + shape.proximity)),
-            2 * self._weight * self._excess,
-            0.0,
-            is_convex=True,
+        self._weight = p.bandwidth_weight * tr.weights[:, None]
+        self._excess = iterate.bandwidth - p.bandwidth_floor
+        self._solver.set_cost(
+            "bandwidth",
+            quadratic=2 * self._weight[..., None] * np.eye(m),
+            linear=2 * self._weight * self._excess,
+            diagonal=2 * shape.proximity,
         )
-        self._slack_cost.evaluator().UpdateCoefficients(np.full(1, shape.penalty))
+        self._solver.set_slack_cost(shape.penalty)
 
     def solve(self, deadline: Deadline = NEVER) -> tuple[Array | None, str]:
         """The step z, or None, and the solver's status."""
         if not self._finite:
             return None, "numbers that are too large"
-        status = ""
-        own = SolverOptions()
-        # Fast options first; Clarabel's own where they are not good enough.
-        for options in (self._options, own):
-            if np.isfinite(deadline.left):
-                options.SetOption(ClarabelSolver.id(), "time_limit", deadline.left)
-            # As a batch of one it lets other threads run, which `Solve` does not.
-            (result,) = SolveInParallel(
-                progs=[self.program],
-                solver_options=options,
-                solver_id=ClarabelSolver.id(),
-            )
-            status = str(result.get_solver_details().status)
-            # A step of almost solved programs is still checked by the merit.
-            if status in ("Solved", "AlmostSolved"):
-                return np.asarray(result.get_x_val()), status
-            if self._rigid and "PrimalInfeasible" in status:
-                break  # as may be
-        return None, status
+        tr = self.transcription
+        solution = self._solver.solve(
+            accuracy=self._accuracy, deadline=deadline, doubtful=self._rigid
+        )
+        if solution.z is not None and tr.problem.model.error_bound_varies:
+            self._note(solution.multipliers[self._hard])
+        return solution.z, solution.status
+
+    def _note(self, prices: Array) -> None:
+        """Keeps the multipliers of the rows whose norms bend."""
+        found = Multipliers.none(self.transcription)
+        count = len(self._input_nodes)
+        found.input[self._input_nodes] = prices[:count] / INPUT_SCALE
+        planes = self._planes
+        of_planes = prices[len(prices) - planes.margin.size :]
+        found.planes[planes.piece, planes.obstacle] = of_planes.reshape(
+            planes.margin.shape
+        )
+        self.multipliers = found
 
     @property
     def margins_now(self) -> Array:
@@ -600,7 +583,7 @@ class Program:
         promised, actual = self.margins_after(z, reached)
         low = self._rows.low.copy()
         low[self._hard] -= actual - promised
-        self._inequalities.evaluator().UpdateLowerBound(low)
+        self._solver.set_lower_bounds(low)
 
     def _turned(self, z: Array) -> Halfplanes:
         """The half-planes as a step turns them."""
@@ -615,9 +598,11 @@ class Program:
     def model_cost(self, z: Array) -> float:
         """The program's idea of the cost after a step."""
         blocks = self.variables.blocks
-        u = self._residual + self._residual_rows @ z[blocks["coefficients"]]
-        excess = self._excess + z[blocks["bandwidth"]]
-        return float(u @ u + self._weight @ excess**2)
+        moves = z[self.variables.knot_columns[:, : self._slopes.shape[2]]]
+        u = self._residual + (self._slopes @ moves[..., None])[..., 0]
+        bandwidth = z[blocks["bandwidth"]].reshape(self._excess.shape)
+        excess = self._excess + bandwidth
+        return float((u**2).sum() + (self._weight * excess**2).sum())
 
     def decisions(self, iterate: Iterate, z: Array) -> tuple[Array, Array]:
         """Coefficients and bandwidth after a whole step."""
@@ -638,15 +623,6 @@ class Program:
         gain = gain + before.layer * (local.bandwidth - before.bandwidth)
         layer = np.maximum(local.layer, 1e-3)
         return coefficients, tr.feasible_bandwidth(gain / layer)
-
-
-def _csr(values: Array, columns: Array, width: int) -> Sparse:
-    """Rows with equally many entries each."""
-    count = values.shape[1]
-    return sp.csr_array(
-        (values.ravel(), columns.ravel(), np.arange(len(values) + 1) * count),
-        shape=(len(values), width),
-    )
 
 
 def tangent_space(normal: Array) -> Array:
@@ -686,11 +662,11 @@ def kinked_coordinates(transcription: Transcription) -> Array:
 
 
 def violation(iterate: Iterate) -> float:
-    """The worst violation of obstacles, speed and input, in their units.
+    """The worst violation of obstacles, speed and (scaled) input, in their units.
 
     Measured from the backed-off limits: at most `BACKOFF` is feasible.
     """
-    margins = [iterate.speed_margin.min(), iterate.input_margin.min()]
+    margins = [iterate.speed_margin.min(), iterate.input_margin.min() / INPUT_SCALE]
     for some in (iterate.error_margin, iterate.planes.margin):
         margins.append(some.min(initial=np.inf))
     # What is not a number violates everything.
@@ -713,6 +689,7 @@ class Result:
         violation: of the iterate.
         failure: the solver's status, if it is what ended the iterations.
         out_of_time: whether it was the deadline.
+        multipliers: of the last convex program.
     """
 
     iterate: Iterate
@@ -720,6 +697,7 @@ class Result:
     violation: float
     failure: str | None = None
     out_of_time: bool = False
+    multipliers: Multipliers | None = None
 
 
 def _walk(
@@ -782,16 +760,34 @@ def _walk(
     return 0 * z, current, violation(current), 0.0
 
 
+@dataclasses.dataclass(frozen=True)
+class Effort:
+    """How far to go.
+
+    Attributes:
+        tolerance: stop when a program promises less than this fraction of the
+            cost.
+        max_iterations: at most so many convex programs.
+        max_penalty: largest weight of the slack that is tried.
+        coarse: solve the programs less accurately, and do without the
+            second-order correction of steps that fail.
+        reach: of the programs, see `Shape`.
+    """
+
+    tolerance: float
+    max_iterations: int
+    max_penalty: float = MAX_PENALTY
+    coarse: bool = False
+    reach: float = 1.0
+
+
 def iterate_to_convergence(
     transcription: Transcription,
     decisions: tuple[Array, Array],
     *,
-    tolerance: float,
-    max_iterations: int,
+    effort: Effort,
     report: Callable[[Iteration], None],
-    max_penalty: float = MAX_PENALTY,
-    coarse: bool = False,
-    reach: float = 1.0,
+    multipliers: Multipliers | None = None,
     deadline: Deadline = NEVER,
 ) -> Result:
     """Runs the sequential convex program from a start.
@@ -799,33 +795,49 @@ def iterate_to_convergence(
     Args:
         transcription: of the problem.
         decisions: coefficients and bandwidth to start from.
-        tolerance: stop when a program promises less than this fraction of the
-            cost.
-        max_iterations: at most so many convex programs.
+        effort: how far to go.
         report: is given every iteration.
-        max_penalty: largest weight of the slack that is tried.
-        coarse: solve the programs less accurately, and do without the
-            second-order correction of steps that fail.
-        reach: of the programs, see `Shape`.
+        multipliers: of an earlier result for the same obstacles, on a grid half as
+            fine.
         deadline: after which no convex program is begun.
     """
     tr = transcription
-    clock = time.perf_counter
     current = tr.evaluate(*decisions)
     worst = violation(current)
     if not np.isfinite([worst, current.cost]).all():
         return Result(current, False, np.inf)
-    program = Program(
-        tr,
-        # Other pieces may come near on the way.
-        planes=len(current.planes.piece) + tr.intervals // 4,
-        kinked=kinked_coordinates(tr),
-        accuracy=COARSE_ACCURACY if coarse else ACCURACY,
-    )
+    # Other pieces may come near on the way.
+    planes = len(current.planes.piece) + tr.intervals // 4
+    planes = -(-planes // SIMILAR) * SIMILAR
+    variables = Variables(tr, planes=planes, kinked=kinked_coordinates(tr))
+    with borrowed(variables.layout) as solver:
+        program = Program(
+            tr,
+            variables,
+            solver,
+            accuracy=COARSE_ACCURACY if effort.coarse else ACCURACY,
+        )
+        if multipliers is not None:
+            program.multipliers = multipliers.refined(tr)
+        result = _iterate(program, current, effort, report, deadline)
+        return dataclasses.replace(result, multipliers=program.multipliers)
+
+
+def _iterate(
+    program: Program,
+    current: Iterate,
+    effort: Effort,
+    report: Callable[[Iteration], None],
+    deadline: Deadline,
+) -> Result:
+    """The iterations themselves."""
+    tr, clock = program.transcription, time.perf_counter
+    varies = tr.problem.model.error_bound_varies
+    worst = violation(current)
     merits: list[float] = []
     stuck = failures = 0
-    shape = Shape(reach=reach, rigid=worst < RIGID)
-    for _ in range(max_iterations):
+    shape = Shape(reach=effort.reach, rigid=worst < RIGID)
+    for _ in range(effort.max_iterations):
         if deadline.passed:
             return Result(current, False, worst, out_of_time=True)
         t0 = clock()
@@ -848,10 +860,11 @@ def iterate_to_convergence(
         slack = max(float(z[-1]), 0.0)
         merit = current.cost + shape.penalty * _excess(worst)
         predicted = merit - (program.model_cost(z) + shape.penalty * _excess(slack))
-        little = tolerance * max(current.cost, 1e-3)
-        # Where there is next to nothing to gain, only the whole step is tried.
-        last = predicted <= little and worst <= BACKOFF
-        tries = 1 if last else 2 if coarse else 3
+        little = effort.tolerance * max(current.cost, 1e-3)
+        # Where there is next to nothing to gain, and Δ does not bend the step, only
+        # the whole step is tried.
+        last = predicted <= little and worst <= BACKOFF and not varies
+        tries = 1 if last else 2 if effort.coarse else 3
         step = _walk(
             program, current, z, merit, predicted, shape.penalty, tries, deadline
         )
@@ -888,11 +901,14 @@ def iterate_to_convergence(
         done = predicted <= little or stuck > 3
         if worst <= BACKOFF and (done or (slow and not stuck)):
             return Result(current, True, worst)
-        if done:
-            if shape.penalty >= max_penalty:
-                return Result(current, False, worst)
+        # A program that would rather break its rows than pay for keeping them is
+        # not worth converging, but on coarse grids it need only find the way.
+        cheap = slack > BACKOFF and not effort.coarse
+        if shape.penalty < effort.max_penalty and (done or cheap):
             shape, stuck = dataclasses.replace(shape, penalty=10 * shape.penalty), 0
             merits.clear()
+        elif done:
+            return Result(current, False, worst)
         if fraction < 0.3:
             proximity = max(4 * shape.proximity, 0.1)
             shape = dataclasses.replace(shape, proximity=proximity)

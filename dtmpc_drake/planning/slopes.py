@@ -1,0 +1,234 @@
+"""First derivatives of what enters the programs at one instant.
+
+Only the model is differentiated by differences, once for all that is made of it;
+the rest is written out.  Along the state the differences are secants: model errors
+often have a kink at rest, which a derivative would not see.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import ClassVar
+
+import numpy as np
+
+from dtmpc_drake.models import (
+    Array,
+    ConstantUncertainty,
+    Model,
+    euclidean_norm,
+    magnitude,
+)
+from dtmpc_drake.planning.problem import Problem
+from dtmpc_drake.planning.transcription import Local
+from dtmpc_drake.sliding import surface_coefficients
+
+TINY = 1e-6
+"""Half-width of the differences along bounds."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Differences:
+    """A function of a state and a box around it, and its slopes, at K instants.
+
+    Attributes:
+        value: ``(K, r)``.
+        slope: by the state and then by the box's radius, ``(K, r, 2 n m)``.
+        bend: by the state, ``(K, r, n m)``: with it, ``slope dx + bend |dx|`` agrees
+            with the function at both ends of the difference.
+    """
+
+    value: Array
+    slope: Array
+    bend: Array
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+
+def differences(
+    function: Callable[[Array, Array], Array],
+    state: Array,
+    radius: Array,
+    secant: float,
+) -> Differences:
+    """Central differences, only along the derivatives that the function looks at.
+
+    Args:
+        function: of ``(..., n, m)`` and ``(..., n, m)`` to ``(..., r)``, each batch
+            entry alone.
+        state: ``(K, n, m)``.
+        radius: ``(K, n, m)``.
+        secant: half-width of the differences along the state, in its units.
+    """
+    K, n, m = state.shape
+    flat = np.concatenate([state, radius], axis=1)
+    size = np.repeat([secant, TINY], n)
+
+    def at(rows: Array) -> Array:
+        return function(rows[..., :n, :], rows[..., n:, :])
+
+    # All axes of a row at once show whether anything depends on it.
+    moves = (np.eye(2 * n) * size)[:, None, :, None]
+    moved = at(np.concatenate([flat[None], flat + moves]))
+    value = moved[0]
+    seen = np.flatnonzero((moved[1:] != value).any(axis=(1, 2)))
+    slope = np.zeros((K, value.shape[1], 2 * n, m))
+    bend = np.zeros_like(slope)
+    if len(seen):
+        moves = np.zeros((len(seen), m, 1, 2 * n, m))
+        for i, row in enumerate(seen):
+            moves[i, :, 0, row] = size[row] * np.eye(m)
+        ahead, behind = at(np.stack([flat + moves, flat - moves]))
+        width = 2 * size[seen, None, None, None]
+        # (rows seen, m, K, r) to (K, r, rows seen, m)
+        slope[:, :, seen] = ((ahead - behind) / width).transpose(2, 3, 0, 1)
+        bend[:, :, seen] = ((ahead + behind - 2 * value) / width).transpose(2, 3, 0, 1)
+    shape = (K, value.shape[1], -1)
+    return Differences(value, slope.reshape(shape), bend[:, :, :n].reshape(shape))
+
+
+@dataclasses.dataclass(frozen=True)
+class LocalSlopes:
+    """Derivatives by `Local.pack`, whose width is L, at K instants.
+
+    Attributes:
+        feedforward: of u*, ``(K, m, L)``.
+        used_input: of the bound of the input's norm, ``(K, L)``.
+        used_rate: of the velocity error's bound if n = 1, else ``(K, 0, L)``.
+        error_margin: of `Transcription.error_margin`, ``(K, 0 or m, L)``.
+    """
+
+    feedforward: Array
+    used_input: Array
+    used_rate: Array
+    error_margin: Array
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+
+def local_slopes(problem: Problem, local: Local, secant: float) -> LocalSlopes:
+    """Derivatives of what `Transcription` computes of one instant.
+
+    Args:
+        problem: whose input, rate and error margin are meant.
+        local: at K instants, batched over one axis.
+        secant: see `differences`.
+    """
+    n, m = problem.model.order, problem.model.num_outputs
+    parts = _ModelParts(problem.model, local, secant)
+    K, split = len(local.layer), n * m
+
+    def by_local(by_model: Array, by_highest: Array, by_gain: Array) -> Array:
+        """From x* and R, y*^(n) and κ = αΦ."""
+        lead = (1,) * (by_model.ndim - 2)
+        bandwidth, layer = (
+            a.reshape(K, *lead, m) for a in (local.bandwidth, local.layer)
+        )
+        return np.concatenate(
+            [
+                by_model[..., :split],
+                by_highest,
+                by_gain * bandwidth,
+                by_gain * layer,
+                by_model[..., split:],
+            ],
+            axis=-1,
+        )
+
+    # Theorem 2, as in `tightening.feedback_bound`.
+    largest, by_largest = parts["largest"]
+    own, by_own = parts["own"]
+    limit, by_limit = parts["drift_bound"]
+    c = surface_coefficients(problem.slope, n)
+    excess = local.bandwidth * local.layer - own + largest / 2
+    size = magnitude(excess)
+    sign = excess / size
+    feedback = limit + largest / 2 + size
+    feedback = feedback + (c[:-1] * local.error_bound[:, 1:]).sum(axis=1)
+    by_feedback = by_limit + by_largest / 2
+    by_feedback += sign[:, :, None] * (by_largest / 2 - by_own)
+    axes = np.arange(m)
+    for k in range(1, n):
+        by_feedback[:, axes, split + k * m + axes] += c[k - 1]
+
+    # Corollary 2, as in `tightening.input_bound`.
+    highest, away = local.highest, magnitude(local.highest)
+    inverse, by_inverse = parts.matrix("inverse")
+    deviation, by_deviation = parts.matrix("deviation")
+    reaction = np.abs(inverse) + deviation
+    nominal = (inverse * highest[:, None]).sum(axis=-1)
+    worst = (deviation * away[:, None] + reaction * feedback[:, None]).sum(axis=-1)
+    along = (nominal / euclidean_norm(nominal)[:, None])[:, None]
+    against = (worst / euclidean_norm(worst)[:, None])[:, None]
+    through = against @ reaction
+    by_model = through @ by_feedback
+    if by_inverse.any() or by_deviation.any():
+        changes = np.sign(inverse)[..., None] * by_inverse + by_deviation
+        by_model += np.einsum("kpi,kijl,kj->kpl", along, by_inverse, highest)
+        by_model += np.einsum("kpi,kijl,kj->kpl", against, changes, feedback)
+        by_model += np.einsum("kpi,kijl,kj->kpl", against, by_deviation, away)
+    by_highest = along @ inverse + against @ deviation * (highest / away)[:, None]
+    used_input = by_local(by_model, by_highest, through * sign[:, None])
+
+    drift, by_drift = parts["drift"]
+    by_model = -inverse @ by_drift
+    if by_inverse.any():
+        by_model += np.einsum("kijl,kj->kil", by_inverse, highest - drift)
+    nothing = np.zeros((K, m, m))
+    feedforward = by_local(by_model, np.broadcast_to(inverse, (K, m, m)), nothing)
+
+    # Corollary 1, as in `tightening.rate_bound`.
+    rate = by_local(2 * by_largest - by_own, nothing, nothing + np.eye(m))
+    _, by_true = parts["true"]
+    none = nothing[:, : by_true.shape[1]]
+    return LocalSlopes(
+        feedforward=feedforward,
+        used_input=used_input[:, 0],
+        used_rate=rate[:, : m if n == 1 else 0],
+        error_margin=by_local(-by_true, none, none),
+    )
+
+
+class _ModelParts:
+    """What a model says of K boxes around states, each part with its slope."""
+
+    def __init__(self, model: Model, local: Local, secant: float) -> None:
+        self._shape = (model.num_outputs, model.num_outputs)
+
+        def parts(state: Array, radius: Array) -> dict[str, Array]:
+            found = {
+                "drift": model.drift(state),
+                "drift_bound": model.drift_bound(state, radius),
+                "own": model.model_error_bound(state),
+                "largest": model.model_error_bound_over(state, radius),
+                "true": np.zeros((*state.shape[:-2], 0)),
+                "inverse": model.inverse_input_matrix(state),
+                "deviation": model.inverse_input_deviation(state, radius),
+            }
+            if isinstance(model, ConstantUncertainty) and model.covers:
+                found["true"] = model.model.model_error_bound_over(state, radius)
+            return found
+
+        def flat(state: Array, radius: Array) -> Array:
+            lead = state.shape[:-2]
+            values = parts(state, radius).values()
+            return np.concatenate([v.reshape(*lead, -1) for v in values], axis=-1)
+
+        one = parts(local.state[:1], local.error_bound[:1])
+        ends = np.cumsum([v[0].size for v in one.values()])
+        self._where = {
+            name: slice(end - v[0].size, end)
+            for (name, v), end in zip(one.items(), ends, strict=True)
+        }
+        self._found = differences(flat, local.state, local.error_bound, secant)
+
+    def __getitem__(self, name: str) -> tuple[Array, Array]:
+        where = self._where[name]
+        return self._found.value[:, where], self._found.slope[:, where]
+
+    def matrix(self, name: str) -> tuple[Array, Array]:
+        """A part that is a matrix, ``(K, m, m)``, and its slope."""
+        value, slope = self[name]
+        K = len(value)
+        return value.reshape(K, *self._shape), slope.reshape(K, *self._shape, -1)
