@@ -7,30 +7,30 @@ and the midpoints between them.
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg.lapack import dtbtrs
 
 from dtmpc_drake.models import Array
 
 
 def linear_recurrence(gain: Array, offset: Array, initial: Array) -> Array:
-    """Solves x[i + 1] = gain[i] x[i] + offset[i] by an associative scan.
+    """Solves x[i + 1] = gain[i] x[i] + offset[i].
 
     Args:
-        gain: shape ``(M, ...)``, in [0, 1] so that nothing overflows.
+        gain: shape ``(M, ...)``.
         offset: shape ``(M, ...)``.
         initial: x[0], shape ``(...)``.
 
     Returns:
         Shape ``(M + 1, ...)``.
     """
-    g, x = gain.copy(), offset.copy()
-    x[0] += g[0] * initial
-    g[0] = 0.0
-    shift = 1
-    while shift < len(g):
-        x[shift:] += g[shift:] * x[:-shift].copy()
-        g[shift:] *= g[:-shift].copy()
-        shift *= 2
-    return np.concatenate([np.asarray(initial, dtype=float)[None], x])
+    # All columns side by side are one triangular system with two diagonals.
+    columns = int(np.prod(gain.shape[1:]))
+    right = np.empty((len(gain) + 1, columns))
+    right[0], right[1:] = np.ravel(initial), offset.reshape(len(gain), columns)
+    band = np.zeros((columns + 1, right.size), order="F")
+    band[-1, : right.size - columns] = -gain.ravel()
+    x, _ = dtbtrs(band, right.reshape(-1, 1), uplo="L", diag="U", overwrite_b=1)
+    return np.asarray(x.reshape(len(gain) + 1, *gain.shape[1:]))
 
 
 def integrate_filter(

@@ -16,8 +16,10 @@ import numpy as np
 from dtmpc_drake.filters import linear_recurrence
 from dtmpc_drake.models import Array, Model
 
-_GAUSS_POINTS = 6
-"""Of the quadrature: exact to rounding for steps of up to a time constant."""
+_ROUNDING = 1e-15
+"""What the quadrature may leave out, relative to what it adds up."""
+_MOST_POINTS = 12
+"""Of the quadrature: enough for steps of up to eight time constants."""
 
 
 def integrate_layer(
@@ -35,7 +37,7 @@ def integrate_layer(
         Both ``(M + 1, m)``.
     """
     alpha, force = _parabolas(step * bandwidth), _parabolas(step * forcing)
-    point, weight = np.polynomial.legendre.leggauss(_GAUSS_POINTS)
+    point, weight = _gauss(float(step * np.abs(bandwidth).max(initial=0.0)))
     u = ((1 + point) / 2)[:, None, None]
     rest = alpha[0] * (1 - u) + alpha[1] * (1 - u**2) / 2 + alpha[2] * (1 - u**3) / 3
     pushed = np.exp(-rest) * (force[0] + u * (force[1] + u * force[2]))
@@ -98,6 +100,22 @@ def _parabolas(values: Array) -> Array:
     return np.stack(
         [start, 4 * middle - 3 * start - end, 2 * (start + end) - 4 * middle]
     )
+
+
+def _gauss(constants: float) -> tuple[Array, Array]:
+    """Points and weights on [-1, 1], enough for steps of so many time constants.
+
+    With G of them the quadrature of exp(-a u) over [0, 1] is wrong by at most
+    ``a^(2G) (G!)^4 / ((2G + 1) ((2G)!)^3)``.
+    """
+    for count in range(2, _MOST_POINTS):
+        least = factorial(count) ** 4 / ((2 * count + 1) * factorial(2 * count) ** 3)
+        if constants ** (2 * count) * least <= _ROUNDING:
+            return _legendre(count)
+    return _legendre(_MOST_POINTS)
+
+
+_legendre = lru_cache(np.polynomial.legendre.leggauss)
 
 
 @lru_cache

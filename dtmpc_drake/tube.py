@@ -20,6 +20,15 @@ from dtmpc_drake.layer import integrate_layer
 from dtmpc_drake.models import Array, Model
 from dtmpc_drake.sliding import surface_coefficients
 
+_SWEEPS = 60
+"""Of the comparison system, in which W stands on both sides."""
+_SETTLED = 1e-7
+"""It is solved when no sweep changes W by more, in the unit of W."""
+_APART = 1e-3
+"""Values of W that are nearer to each other give no secant."""
+_GAIN = 0.9
+"""Of the filter's decay that a secant may take away."""
+
 VelocityBound = Literal["comparison", "paper"]
 
 
@@ -235,28 +244,38 @@ def propagate_error_bounds(
     if order == 1 or velocity_bound == "paper":
         return Tube(boundary_layer, boundary_layer_rate, bound, bound_rate, Y)
 
-    # Δ̄ looks at W itself, so iterate from the paper's bound.  From a valid bound
-    # follows a valid one, so both hold at once and Δ̄ takes the smaller; without
-    # that, a model error that grows faster than W would let W run away.
+    # Δ̄ looks at W itself.  From a valid bound follows a valid one, so both hold at
+    # once and Δ̄ takes the smaller of W and the paper's; without that, a model error
+    # that grows faster than W would let W run away.
     decay = bandwidth + (order - 1) * slope
-    largest = half_grid(bound[:, -1], bound_rate[:, -1], step)
-    for _ in range(60 if model.error_bound_varies else 1):
-        R = half_grid(bound, bound_rate, step)
-        R[:, -1] = np.minimum(R[:, -1], largest)
-        R = np.maximum(R, 0.0)
-        forcing = decay * R[:, -1] + comparison_rate(
-            model=model,
-            reference=reference,
-            bandwidth=bandwidth,
-            error_bound=R,
-            slope=slope,
-            disturbance_bound=disturbance_bound,
+    R = np.maximum(half_grid(bound, bound_rate, step), 0.0)
+    largest, start = R[:, -1].copy(), np.abs(initial_error[-1])
+    forcing = comparison_forcing(
+        bandwidth=bandwidth,
+        lower_bounds=R[:, :-1],
+        model_error=-model.model_error_bound(reference),
+        slope=slope,
+        disturbance_bound=disturbance_bound,
+    )
+    W, gain = bound[:, -1].copy(), np.zeros_like(decay)
+    earlier = None
+    for _ in range(_SWEEPS if model.error_bound_varies else 1):
+        last, doubled = W, 2 * model.model_error_bound_over(reference, R)
+        if earlier is not None:
+            # Newton's method, with the secant of each value by itself: in a fixed
+            # point W is the same whatever the gain, which must leave a stable filter.
+            moved, rise = R[:, -1] - earlier[0], doubled - earlier[1]
+            far = np.abs(moved) > _APART
+            gain = np.clip(np.divide(rise, moved, out=gain.copy(), where=far), 0, None)
+            gain = np.minimum(gain, _GAIN * decay)
+        earlier = R[:, -1].copy(), doubled
+        W, dW = integrate_filter(
+            decay - gain, forcing + doubled - gain * R[:, -1], start, step
         )
-        W, dW = integrate_filter(decay, forcing, np.abs(initial_error[-1]), step)
-        change = np.abs(W - bound[:, -1]).max()
-        bound[:, -1], bound_rate[:, -1] = W, dW
-        if change < 1e-7:
+        if np.abs(W - last).max() < _SETTLED:
             break
+        R[:, -1] = np.clip(half_grid(W, dW, step), 0.0, largest)
+    bound[:, -1], bound_rate[:, -1] = W, dW
     return Tube(boundary_layer, boundary_layer_rate, bound, bound_rate, Y)
 
 

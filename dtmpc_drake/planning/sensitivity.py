@@ -7,13 +7,14 @@ linearised filters of `tube.filter_rates`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from dtmpc_drake.models import Array, bends, jacobian
+from dtmpc_drake.models import Array, IntegratorChain
 from dtmpc_drake.planning import splines
+from dtmpc_drake.planning.problem import Problem
+from dtmpc_drake.planning.slopes import Differences, differences
 from dtmpc_drake.planning.transcription import Iterate, Transcription
+from dtmpc_drake.tube import filter_rates
 
 SMOOTH = 1.0
 """Second derivatives up to twice this are left to the next linearisation."""
@@ -57,14 +58,13 @@ def transitions(
     index = np.arange(N)[:, None] * points + np.arange(points + 1)
     weight = local_time[:, None, None]
     h = tr.step / tr.substeps
-    width = S * m + 2 * m
+    by_alpha, by_tube = _axis_by_axis(p, alpha, states)
     if not p.model.error_bound_varies:
         # The axes do not see each other, nor the reference.
-        by_alpha, by_tube = _axis_by_axis(tr.tube_rates, reference, alpha, states)
-        by_alpha, by_tube = by_alpha[index], by_tube[index]
         weights = np.concatenate([1 - weight, weight], axis=-1)[..., None, :]
-        each = _propagate(by_tube, by_alpha[..., None] * weights, h)
-        result = np.zeros((N, S, m, width + (tr.degree + 1) * m))
+        each = _propagate(by_tube[index], by_alpha[index][..., None] * weights, h)
+        width = (S + 2) * m + (tr.degree + 1) * m
+        result = np.zeros((N, S, m, width))
         axes = np.arange(m)
         for column in range(S + 2):
             result[:, :, axes, column * m + axes] = each[..., column].swapaxes(1, 2)
@@ -72,11 +72,13 @@ def transitions(
 
     if kinked is None:
         kinked = np.zeros(0, dtype=int)
-    derivative, bend = _all_pairs(
-        tr.tube_rates, reference, alpha, states, secant, kinked
-    )
-    derivative, bend = derivative[index], bend[index]
-    by_state, by_alpha, by_tube = np.split(derivative, [n * m, n * m + m], axis=-1)
+    error = _by_model_error(tr, reference, states, secant)
+    by_alpha, by_tube = _all_axes(by_alpha[..., None]), _all_axes(by_tube)
+    by_tube = by_tube + error.slope[:, :, n * m :] @ np.concatenate(tr.state_bounds)
+    by_alpha, by_tube = by_alpha[index], by_tube[index]
+    by_state = error.slope[index, :, : n * m]
+    # More forcing only makes the tube larger, so the bend may be left to be chosen.
+    bend = kinks(error.bend[index][..., kinked], secant)
     # Columns of the input: α interpolated, the state through its spline.
     basis = np.stack(
         [splines.basis(tr.degree, k, local_time, tr.step) for k in range(n)]
@@ -123,65 +125,66 @@ def _propagate(by_state: Array, inputs: Array, step: float) -> Array:
     return np.asarray(X)
 
 
-def _all_pairs(
-    rates: Callable[[Array, Array, Array], Array],
-    reference: Array,
-    alpha: Array,
-    states: Array,
-    secant: float,
-    kinked: Array,
-) -> tuple[Array, Array]:
-    """Every rate by every reference state, bandwidth and tube state.
-
-    And how much it bends upwards in the kinked coordinates.
-    """
-    count, S, m = states.shape
-    split = reference[0].size
-
-    def flat_rates(flat: Array) -> Array:
-        lead = flat.shape[:-1]
-        value = rates(
-            flat[..., :split].reshape(*lead, -1, m),
-            flat[..., split : split + m],
-            flat[..., split + m :].reshape(*lead, S, m),
-        )
-        return value.reshape(*lead, S * m)
-
-    flat = np.concatenate(
-        [reference.reshape(count, -1), alpha, states.reshape(count, -1)], axis=1
-    )
-    step = np.full(flat.shape[1], 1e-6)
-    step[:split] = secant
-    # More forcing only makes the tube larger, so the bend may be left to be chosen.
-    bend = kinks(bends(flat_rates, flat, step, kinked), secant)
-    return jacobian(flat_rates, flat, step), bend
-
-
 def kinks(bend: Array, secant: Array | float) -> Array:
     """Bends that are kinks: upwards, and more than a smooth function has."""
     return np.asarray(np.where(bend > SMOOTH * secant, bend, 0.0))
 
 
-def _axis_by_axis(
-    rates: Callable[[Array, Array, Array], Array],
-    reference: Array,
-    alpha: Array,
-    states: Array,
-) -> tuple[Array, Array]:
-    """Every rate by its own axis' bandwidth and states, where Δ is constant.
+def _axis_by_axis(p: Problem, alpha: Array, states: Array) -> tuple[Array, Array]:
+    """Every rate by its own axis' bandwidth and states, but for the model error.
+
+    Without it the rates are linear in the states, and their matrices affine in α.
 
     Returns:
         By the bandwidth, ``(count, m, S)``, and by the states,
         ``(count, m, S, S)``.
     """
-    count, S, m = states.shape
+    _, S, m = states.shape
+    n = p.model.order
+    nothing = IntegratorChain(num_outputs=m, order=n, error_bound=0.0)
+    unit = np.concatenate([np.zeros((1, S, m)), np.eye(S)[..., None].repeat(m, 2)])
+    rates = filter_rates(
+        model=nothing,
+        reference=np.zeros((2, S + 1, n, m)),
+        bandwidth=np.stack([np.zeros((S + 1, m)), np.ones((S + 1, m))]),
+        states=np.stack([unit, unit]),
+        slope=p.slope,
+        disturbance_bound=p.disturbance_bound,
+        reaching_rate=p.reaching_rate,
+    )
+    # Without bandwidth and with one of 1 rad/s: (m, S rates, S states).
+    still, moving = (rates[:, 1:] - rates[:, :1]).transpose(0, 3, 2, 1)
+    by_bandwidth = moving - still
+    by_tube = still + alpha[:, :, None, None] * by_bandwidth
+    return np.einsum("mrs,csm->cmr", by_bandwidth, states), by_tube
 
-    def moved(offsets: Array) -> Array:
-        value = rates(
-            reference, alpha + offsets[..., :1], states + offsets[..., 1:, None]
-        )
-        return value.reshape(*value.shape[:-2], S * m)
 
-    slopes = jacobian(moved, np.zeros((count, 1 + S))).reshape(count, S, m, 1 + S)
-    slopes = slopes.swapaxes(1, 2)
-    return slopes[..., 0], slopes[..., 1:]
+def _all_axes(by_axis: Array) -> Array:
+    """Matrices of axes side by side, ``(count, m, r, c)`` to ``(count, r m, c m)``."""
+    count, m, rows, columns = by_axis.shape
+    result = np.zeros((count, rows, m, columns, m))
+    axes = np.arange(m)
+    result[:, :, axes, :, axes] = by_axis.swapaxes(0, 1)
+    return result.reshape(count, rows * m, columns * m)
+
+
+def _by_model_error(
+    tr: Transcription, reference: Array, states: Array, secant: float
+) -> Differences:
+    """The rates' part that is made of Δ and Δ̄: by x* and by R_0 ... R_(n-1).
+
+    dΦ/dt has Δ(x*) in it, and dW/dt has 2 Δ̄ - Δ(x*).
+    """
+    model, (count, S, m) = tr.problem.model, states.shape
+    n = tr.order
+    flat = states.reshape(count, S * m)
+    bounds = np.stack([flat @ bound.T for bound in tr.state_bounds], axis=1)
+
+    def rates(x: Array, radius: Array) -> Array:
+        own = model.model_error_bound(x)
+        rows = [np.zeros((*own.shape[:-1], (n - 1) * m)), own]
+        if tr.has_velocity_state:
+            rows.append(2 * model.model_error_bound_over(x, radius) - own)
+        return np.concatenate(rows, axis=-1)
+
+    return differences(rates, reference, bounds, secant)

@@ -25,7 +25,7 @@ from dtmpc_drake.plan import FloatArray, Plan
 from dtmpc_drake.planning import splines
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.tightening import input_bound, rate_bound
-from dtmpc_drake.tube import Tube, filter_rates, propagate
+from dtmpc_drake.tube import Tube, cascade_bound, filter_rates, propagate
 
 HAIR = 2e-3
 """By how much the bandwidth stays inside its limits, relative."""
@@ -530,6 +530,18 @@ class Transcription:
     def has_velocity_state(self) -> bool:
         """Whether W is a state of the programs (else it is Φ, or a cascade)."""
         return self.order > 1 and self.problem.velocity_bound == "comparison"
+
+    @cached_property
+    def state_bounds(self) -> list[Array]:
+        """From the tube's states to R_0 ... R_(n-1), each ``(m, S m)``."""
+        n, m = self.order, self.outputs
+        S = n + self.has_velocity_state
+        unit = np.eye(S * m).reshape(S * m, S, m)
+        slope = self.problem.slope
+        bounds = [cascade_bound(unit[:, :n], slope, k).T for k in range(n)]
+        if self.has_velocity_state:
+            bounds[-1] = unit[:, n].T
+        return bounds
 
     # Obstacles.
 

@@ -19,7 +19,6 @@ from dtmpc_drake.models import Array
 from dtmpc_drake.planning import splines
 from dtmpc_drake.planning.qp import Layout, Window
 from dtmpc_drake.planning.transcription import Transcription, hermite_controls
-from dtmpc_drake.tube import cascade_bound
 
 
 class Variables:
@@ -90,7 +89,7 @@ class Variables:
         )
         states = self.blocks["states"].start
         self.state_columns = states + knots[:-1] * S + np.arange(2 * S)
-        self.bounds = bounds = self._bounds(transcription)
+        self.bounds = bounds = tr.state_bounds
         self.local_matrix = self._local_matrix(transcription, bounds)
         self.rate_matrix = bounds[min(1, n - 1)]
         self.tube_matrix = self._tube_matrix(transcription)
@@ -121,15 +120,6 @@ class Variables:
         return np.asarray(
             first[:, None] * self.outputs + np.arange(count * self.outputs)
         )
-
-    def _bounds(self, tr: Transcription) -> list[Array]:
-        """From the states at a knot to R_0 ... R_(n-1), each ``(m, S m)``."""
-        n, m, S = tr.order, tr.outputs, self.num_states
-        unit = np.eye(S * m).reshape(S * m, S, m)
-        bounds = [cascade_bound(unit[:, :n], tr.problem.slope, k).T for k in range(n)]
-        if tr.has_velocity_state:
-            bounds[-1] = unit[:, n].T
-        return bounds
 
     def _local_matrix(self, tr: Transcription, bounds: list[Array]) -> Array:
         n, m, S = tr.order, tr.outputs, self.num_states
