@@ -11,6 +11,7 @@ linear filters, which the length of the intervals makes negligible.
 from __future__ import annotations
 
 import dataclasses
+from functools import cached_property
 from math import factorial
 from typing import ClassVar
 
@@ -65,9 +66,13 @@ class Polynomial:
 
     def radius(self, order: int) -> Array:
         """How far a derivative leaves its value at the middle, ``(K, m)``."""
-        rest = self.derivatives[:, order + 1 :]
-        weight = [self.half**j / factorial(j) for j in range(1, rest.shape[1] + 1)]
-        return np.asarray(np.einsum("j,kjm->km", np.array(weight), np.abs(rest)))
+        return np.asarray(self._radii[:, order])
+
+    @cached_property
+    def _radii(self) -> Array:
+        count = self.derivatives.shape[1]
+        rest = _taylor(count, self.half) - np.eye(count)
+        return np.asarray(rest @ np.abs(self.derivatives))
 
     def largest(self, order: int) -> Array:
         """A bound of a derivative's magnitude all along, ``(K, m)``."""
@@ -75,12 +80,25 @@ class Polynomial:
 
     def at_ends(self, order: int = 0) -> Array:
         """A continuous derivative where intervals meet, ``(K + 1, m)``."""
-        rows = self.derivatives[:, order:]
-        weight = [self.half**j / factorial(j) for j in range(rows.shape[1])]
-        sign = [(-1.0) ** j for j in range(rows.shape[1])]
-        starts = np.einsum("j,kjm->km", np.multiply(weight, sign), rows)
-        last = np.einsum("j,jm->m", weight, rows[-1])
+        return np.asarray(self._ends[:, order])
+
+    @cached_property
+    def _ends(self) -> Array:
+        count = self.derivatives.shape[1]
+        starts = _taylor(count, -self.half) @ self.derivatives
+        last = _taylor(count, self.half) @ self.derivatives[-1]
         return np.concatenate([starts, last[None]])
+
+
+def _taylor(count: int, offset: float) -> Array:
+    """From derivatives at one place to those at another, ``(count, count)``."""
+    rows = range(count)
+    return np.array(
+        [
+            [offset ** (j - i) / factorial(j - i) if j >= i else 0.0 for j in rows]
+            for i in rows
+        ]
+    )
 
 
 @dataclasses.dataclass(frozen=True)

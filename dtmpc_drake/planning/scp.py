@@ -863,8 +863,8 @@ def _iterate(
         little = effort.tolerance * max(current.cost, 1e-3)
         # Where there is next to nothing to gain, and Δ does not bend the step, only
         # the whole step is tried.
-        last = predicted <= little and worst <= BACKOFF and not varies
-        tries = 1 if last else 2 if effort.coarse else 3
+        last = predicted <= little and worst <= BACKOFF
+        tries = (2 if varies else 1) if last else 2 if effort.coarse else 3
         step = _walk(
             program, current, z, merit, predicted, shape.penalty, tries, deadline
         )

@@ -37,7 +37,7 @@ REACH = 0.8
 """Pieces and obstacles that are further apart have no half-plane, in m."""
 BLEND = 0.125
 """Part of the way, at each end, in which a start is bent to meet the ends."""
-TUBE_STEPS = (8, 16)
+TUBE_STEPS = (8, 8)
 """Steps of the tube in each interval, at least, where Δ is constant and where it
 varies (and may have kinks); the half grid has twice as many."""
 
