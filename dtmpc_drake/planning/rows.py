@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from dtmpc_drake.models import Array
 from dtmpc_drake.planning.splines import Sparse
 
-_ZERO = 1e-9
+ZERO = 1e-9
 """Entries that are smaller are none."""
 
 
@@ -55,7 +55,7 @@ class Rows:
     ) -> None:
         """Adds rows with equally many entries each, ``(R, E)``."""
         size = len(values)
-        row, entry = np.nonzero(np.abs(values) > _ZERO)
+        row, entry = np.nonzero(np.abs(values) > ZERO)
         self._values.append(values[row, entry])
         self._indices.append((row + self.count, columns[row, entry]))
         self._bounds.append((np.broadcast_to(low, size), np.broadcast_to(high, size)))
@@ -64,6 +64,13 @@ class Rows:
     def equate(self, values: Array, columns: Array, to: Array | float) -> None:
         """Adds equations with equally many entries each, ``(R, E)``."""
         self.add(values, columns, to, to)
+
+    def reads(self) -> Array:
+        """Which entries of the vector some row has, ``(width,)``."""
+        found = np.zeros(self._width, dtype=bool)
+        for _, columns in self._indices:
+            found[columns] = True
+        return found
 
     def assemble(self) -> Assembled:
         """The matrix and its bounds."""

@@ -23,7 +23,7 @@ from dtmpc_drake.planning.curvature import (
 )
 from dtmpc_drake.planning.deadline import NEVER, Deadline
 from dtmpc_drake.planning.qp import QuadraticProgram, borrowed
-from dtmpc_drake.planning.rows import Rows
+from dtmpc_drake.planning.rows import ZERO, Rows
 from dtmpc_drake.planning.sensitivity import kinks, transitions
 from dtmpc_drake.planning.slopes import local_slopes
 from dtmpc_drake.planning.transcription import (
@@ -189,8 +189,6 @@ class Program:
 
         rows, equations = Rows(self.variables.size), Rows(self.variables.size)
         self._add_ends(equations, iterate)
-        used = self._add_transitions(equations, iterate, shape.secant)
-        used |= (bend > 0).any(axis=1)
         if tr.problem.bandwidth_is_fixed:
             alpha = self.variables.alpha_columns.reshape(-1, 1)
             equations.equate(np.ones(alpha.shape), alpha, 0.0)
@@ -201,8 +199,7 @@ class Program:
         self._planes = iterate.planes.nearer_than(REACH * shape.reach)
         margins = self._add_hard(rows, iterate, derivative, bend, between, shape.reach)
         self._hard = slice(before, rows.count)
-        used[between.piece] = used[between.piece + 1] = True
-        self._add_moves(rows, used)
+        self._add_tube(rows, equations, iterate, shape.secant)
         self._hard_margins = margins
         self._hard_margin = margins(iterate, self._planes)
         slack = np.ones((1, 1)), np.array([[self.variables.size - 1]])
@@ -220,7 +217,7 @@ class Program:
         self._update_cost(iterate, slopes.feedforward, shape)
 
     def _add_ends(self, equations: Rows, iterate: Iterate) -> None:
-        """Both end states, and the tube's state at the start, which is given."""
+        """Both end states."""
         tr, v, p = self.transcription, self.variables, self.transcription.problem
         n, m, local = tr.order, tr.outputs, iterate.local
         layer = slice((n + 1) * m, (n + 2) * m)
@@ -237,21 +234,24 @@ class Program:
             matrix = v.local_matrix[part]
             columns = np.broadcast_to(v.knot_columns[knot], matrix.shape)
             equations.equate(matrix, columns, value)
-        states = v.state_columns[0, : v.num_states * m, None]
-        equations.equate(np.ones(states.shape), states, 0.0)
 
-    def _add_transitions(
-        self, equations: Rows, iterate: Iterate, secant: float
-    ) -> Array:
-        """The tube follows the decisions from knot to knot.
+    def _add_tube(
+        self, rows: Rows, equations: Rows, iterate: Iterate, secant: float
+    ) -> None:
+        """The tube follows the decisions, as far as the rows so far look at it.
 
-        Returns:
-            Which moves it reads, ``(K, q)``.
+        Far from all limits it may be what it likes: states that no row needs, now or
+        later, have no equation.
         """
         tr, v = self.transcription, self.variables
         m, N = tr.outputs, tr.intervals
-        S = v.num_states * m
+        S, reads = v.num_states * m, rows.reads()
         sensitivity = transitions(tr, iterate, secant=secant, kinked=v.kinked)
+        links = (np.abs(sensitivity[:, :, :S]) > ZERO).any(axis=0)
+        states = reads[v.blocks["states"]].reshape(N + 1, S)
+        needed = _needed(states, np.asarray(links))
+        first = v.state_columns[0, :S][needed[0], None]
+        equations.equate(np.ones(first.shape), first, 0.0)
         columns = np.concatenate(
             [
                 v.state_columns,
@@ -263,22 +263,12 @@ class Program:
             ],
             axis=1,
         )
-        values = np.concatenate(
-            [
-                -sensitivity[:, :, :S],
-                np.broadcast_to(np.eye(S), (N, S, S)),
-                -sensitivity[:, :, S:],
-            ],
-            axis=-1,
-        ).reshape(N * S, -1)
-        equations.equate(values, columns.repeat(S, axis=0), 0.0)
-        count = len(v.kinked)
-        reads = (sensitivity[:, :, -2 * count :] != 0).any(axis=1)
-        used = np.zeros((tr.intervals + 1, count), dtype=bool)
-        if count:
-            used[:-1] |= reads[:, :count]
-            used[1:] |= reads[:, count:]
-        return used
+        piece, state = np.nonzero(needed[1:])
+        by = sensitivity[piece, state]
+        values = np.concatenate([-by[:, :S], np.eye(S)[state], -by[:, S:]], axis=1)
+        equations.equate(values, columns[piece], 0.0)
+        used = rows.reads() | equations.reads()
+        self._add_moves(rows, used[v.move_columns])
 
     def _add_moves(self, rows: Rows, used: Array) -> None:
         """|dx| <= e for the kinked coordinates of x*, where a row reads e."""
@@ -623,6 +613,19 @@ class Program:
         gain = gain + before.layer * (local.bandwidth - before.bandwidth)
         layer = np.maximum(local.layer, 1e-3)
         return coefficients, tr.feasible_bandwidth(gain / layer)
+
+
+def _needed(read: Array, links: Array) -> Array:
+    """Which states some row needs, at their knot or at a later one.
+
+    Args:
+        read: what rows look at, ``(K, S)``.
+        links: which states follow from which, ``(S, S)``.
+    """
+    later = np.logical_or.accumulate(read[::-1])[::-1]
+    for _ in range(len(links)):
+        later = later | (later @ links)
+    return np.asarray(later)
 
 
 def tangent_space(normal: Array) -> Array:
