@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dtmpc_drake.models import Array, jacobian
-from dtmpc_drake.planning.slopes import differences, local_slopes
+from dtmpc_drake.planning.slopes import differences, feedforward_slopes, limit_slopes
 from dtmpc_drake.planning.transcription import Local, Transcription
 from tests.models_for_tests import every_model, make_problem, name_of
 
@@ -36,10 +36,10 @@ def test_slopes_at_one_instant_are_those_of_the_transcription(model):
     def of(function):
         return jacobian(lambda x: function(Local.unpack(x, n, m)), flat, 1e-5)
 
-    slopes = local_slopes(transcription.problem, local, 1e-5)
+    slopes = limit_slopes(transcription.problem, local, 1e-5)
     close = {"rtol": 1e-6, "atol": 1e-6}
     np.testing.assert_allclose(
-        slopes.feedforward, of(transcription.feedforward), **close
+        feedforward_slopes(model, local, 1e-5), of(transcription.feedforward), **close
     )
     np.testing.assert_allclose(
         slopes.used_input,

@@ -25,7 +25,7 @@ from dtmpc_drake.planning.deadline import NEVER, Deadline
 from dtmpc_drake.planning.qp import QuadraticProgram, borrowed
 from dtmpc_drake.planning.rows import ZERO, Rows
 from dtmpc_drake.planning.sensitivity import kinks, transitions
-from dtmpc_drake.planning.slopes import local_slopes
+from dtmpc_drake.planning.slopes import feedforward_slopes, limit_slopes
 from dtmpc_drake.planning.transcription import (
     REACH,
     Halfplanes,
@@ -67,6 +67,7 @@ BETWEEN, BETWEEN_REACH = 4, 0.3
 BANDWIDTH_REACH = 0.6
 """Bandwidths that are further above their lower bound, in parts of their range, are
 left to the projection."""
+NO_ROWS = np.zeros((0, 1)), np.zeros((0, 1), dtype=int)
 RIGID = 1e-2
 """A start that violates no more than this is hoped to need no slack."""
 
@@ -126,16 +127,6 @@ class Iteration:
     status: str
 
 
-@dataclasses.dataclass(frozen=True)
-class _InputRows:
-    """Nodes between the knots, the pieces that they are in, and rows' entries."""
-
-    nodes: Array
-    piece: Array
-    values: Array
-    columns: Array
-
-
 class Program:
     """The convex program around one iterate after the other.
 
@@ -168,25 +159,6 @@ class Program:
     def update(self, iterate: Iterate, shape: Shape) -> None:
         """Linearises around an iterate; z is the deviation from it."""
         tr = self.transcription
-        n, m, v = tr.order, tr.outputs, self.variables
-        slopes = local_slopes(tr.problem, iterate.local, shape.secant)
-
-        def limited(x: Array) -> Array:
-            local = Local.unpack(x, n, m)
-            parts = [tr.used_input(local)[..., None]]
-            if n == 1:
-                parts.append(tr.used_rate(local))
-            parts.append(-tr.error_margin(local.state, local.error_bound))
-            return np.concatenate(parts, axis=-1)
-
-        # By the entries of z that each knot reads, ``(K, r, C)``.
-        limits = [slopes.used_input[:, None], slopes.used_rate, -slopes.error_margin]
-        derivative = np.concatenate(limits, axis=1) @ v.local_matrix
-        bend = np.zeros((*derivative.shape[:2], 0))
-        if len(v.kinked):
-            flat = iterate.local.pack()
-            bend = kinks(bends(limited, flat, shape.secant, v.kinked), shape.secant)
-
         rows, equations = Rows(self.variables.size), Rows(self.variables.size)
         self._add_ends(equations, iterate)
         if tr.problem.bandwidth_is_fixed:
@@ -195,9 +167,8 @@ class Program:
         else:
             self._add_bandwidth(rows, iterate, shape.reach)
         before = rows.count
-        between = self._input_between(iterate, shape)
         self._planes = iterate.planes.nearer_than(REACH * shape.reach)
-        margins = self._add_hard(rows, iterate, derivative, bend, between, shape.reach)
+        margins = self._add_hard(rows, iterate, shape)
         self._hard = slice(before, rows.count)
         self._add_tube(rows, equations, iterate, shape.secant)
         self._hard_margins = margins
@@ -214,7 +185,7 @@ class Program:
         if not self._finite:
             return
         self._solver.set_rows(same, self._rows)
-        self._update_cost(iterate, slopes.feedforward, shape)
+        self._update_cost(iterate, shape)
 
     def _add_ends(self, equations: Rows, iterate: Iterate) -> None:
         """Both end states."""
@@ -303,13 +274,7 @@ class Program:
         rows.add(values, pairs, -limit - change[fast], limit - change[fast])
 
     def _add_hard(
-        self,
-        rows: Rows,
-        iterate: Iterate,
-        derivative: Array,
-        bend: Array,
-        between: _InputRows,
-        reach: float,
+        self, rows: Rows, iterate: Iterate, shape: Shape
     ) -> Callable[[Iterate, Halfplanes], Array]:
         """Input, speed and obstacles, each relaxed by the shared slack.
 
@@ -318,15 +283,10 @@ class Program:
             half-planes or turned ones.
         """
         tr, v = self.transcription, self.variables
-        n, m = tr.order, tr.outputs
-        input_margin = iterate.input_margin[:: tr.tube_steps]
-        near = np.flatnonzero(input_margin < INPUT_REACH * reach)
-        close = iterate.speed_margin < SPEED_REACH * reach
+        input_nodes = self._nodes_near_the_input_limit(iterate, shape.reach)
+        close = iterate.speed_margin < SPEED_REACH * shape.reach
         close[1:, 0] = False  # the last control point of the piece before
         speeds = np.nonzero(close)
-        planes = self._planes
-        trusted = iterate.error_margin[:: tr.tube_steps]
-        input_nodes = np.concatenate([near * tr.tube_steps, between.nodes])
         self._input_nodes = input_nodes
 
         def margins(at: Iterate, planes: Halfplanes) -> Array:
@@ -340,125 +300,153 @@ class Program:
                 ]
             )
 
-        def add(values: Array, columns: Array, margin: Array) -> None:
+        rate, trusted = self._by_knot(iterate, shape.secant)
+        blocks = [
+            self._input_rows(iterate, input_nodes, shape.secant),
+            trusted,
+            self._speed_rows(speeds, rate),
+            self._halfplane_rows(self._planes),
+        ]
+        here = margins(iterate, self._planes)
+        for values, columns in blocks:
             slack = np.full((len(values), 1), v.size - 1)
             rows.add(
                 np.concatenate([values, np.ones(slack.shape)], axis=1),
                 np.concatenate([columns, slack], axis=1),
-                BACKOFF - margin,
+                BACKOFF - here[: len(values)],
             )
-
-        reads = np.concatenate([v.knot_columns, v.move_columns], axis=1)
-        by_reads = np.concatenate([derivative, bend], axis=2)
-        scaled = iterate.input_margin / INPUT_SCALE
-        add(
-            -by_reads[near, 0] / INPUT_SCALE,
-            reads[near],
-            scaled[near * tr.tube_steps],
-        )
-        add(between.values / INPUT_SCALE, between.columns, scaled[between.nodes])
-        count = trusted.shape[1]
-        add(
-            -by_reads[:, by_reads.shape[1] - count :].reshape(-1, reads.shape[1]),
-            reads.repeat(count, axis=0),
-            trusted.ravel(),
-        )
-
-        piece, control, axis, sign = speeds
-        count = tr.speed_basis.shape[1]
-        speed = tr.speed_basis[control] * np.where(sign, 1.0, -1.0)[:, None]
-        columns = piece[:, None] + np.arange(count)
-        if n == 1:
-            rate = by_reads[:, 1:]
-        else:
-            states = slice(v.knot_columns.shape[1] - v.num_states * m, None)
-            rate = np.zeros((tr.intervals + 1, m, reads.shape[1]))
-            rate[:, :, states][..., : v.num_states * m] = v.rate_matrix
-        weight = (control / n)[:, None]
-        add(
-            np.concatenate(
-                [
-                    speed,
-                    (weight - 1) * rate[piece, axis],
-                    -weight * rate[piece + 1, axis],
-                ],
-                axis=1,
-            ),
-            np.concatenate(
-                [
-                    columns * m + axis[:, None],
-                    reads[piece],
-                    reads[piece + 1],
-                ],
-                axis=1,
-            ),
-            iterate.speed_margin[speeds],
-        )
-        add(*self._halfplane_rows(planes), planes.margin.ravel())
+            here = here[len(values) :]
         return margins
 
-    def _input_between(self, iterate: Iterate, shape: Shape) -> _InputRows:
-        """The input within the pieces that are near its limit.
-
-        At some fixed nodes, and where it peaks.  The reference there is linear in
-        its coefficients; the tube's states are taken to move as a mean of those at
-        both ends of the piece.
-        """
-        tr, v = self.transcription, self.variables
-        n, m = tr.order, tr.outputs
+    def _nodes_near_the_input_limit(self, iterate: Iterate, reach: float) -> Array:
+        """Knots, some fixed nodes between them, and where the input peaks."""
+        tr = self.transcription
         inner = tr.pieces(iterate.input_margin)[:, 1:-1]
         chosen = np.zeros(inner.shape, dtype=bool)
         chosen[:, tr.tube_steps // BETWEEN - 1 :: tr.tube_steps // BETWEEN] = True
         chosen[np.arange(len(inner)), inner.argmin(axis=1)] = True
-        piece, node = np.nonzero(chosen & (inner < BETWEEN_REACH * shape.reach))
-        nodes = piece * tr.tube_steps + node + 1
-        if not len(piece):
-            none = np.zeros((0, 1), dtype=int)
-            return _InputRows(nodes, piece, np.zeros((0, 1)), none)
+        piece, node = np.nonzero(chosen & (inner < BETWEEN_REACH * reach))
+        at_knots = iterate.input_margin[:: tr.tube_steps]
+        knots = np.flatnonzero(at_knots < INPUT_REACH * reach)
+        both = [knots * tr.tube_steps, piece * tr.tube_steps + node + 1]
+        return np.concatenate(both)
+
+    def _input_rows(
+        self, iterate: Iterate, nodes: Array, secant: float
+    ) -> tuple[Array, Array]:
+        """Values and columns of the input's limit at some nodes of the fine grid.
+
+        The reference there is linear in its coefficients; the tube's states are taken
+        to move as a mean of those at both ends of the piece.
+        """
+        tr, v = self.transcription, self.variables
+        n, m = tr.order, tr.outputs
+        if not len(nodes):
+            return NO_ROWS
         local = tr.local_at(iterate, nodes)
 
         def used_input(x: Array) -> Array:
             return tr.used_input(Local.unpack(x, n, m))[..., None]
 
-        slopes = local_slopes(tr.problem, local, shape.secant)
+        slopes = limit_slopes(tr.problem, local, secant)
         slope = Local.unpack(slopes.used_input, n, m)
         bend = np.zeros((len(nodes), 0))
         if len(v.kinked):
-            bend = bends(used_input, local.pack(), shape.secant, v.kinked)[:, 0]
-            bend = kinks(bend, shape.secant)
+            bend = bends(used_input, local.pack(), secant, v.kinked)[:, 0]
+            bend = kinks(bend, secant)
         rows = np.concatenate([slope.state, slope.highest[:, None]], axis=1)
         coefficients = np.einsum("pkc,pkm->pcm", tr.basis_at(nodes), rows)
         states = np.einsum("pkm,kms->ps", slope.error_bound, np.stack(v.bounds))
         states[:, (n - 1) * m : n * m] += slope.layer
-        later = ((nodes % tr.tube_steps) / tr.tube_steps)[:, None]
+        piece, later = tr.within(nodes)
+        later = later[:, None]
 
         def at_ends(values: Array) -> Array:
             return np.concatenate([(1 - later) * values, later * values], axis=1)
 
-        return _InputRows(
-            nodes=nodes,
-            piece=piece,
-            values=-np.concatenate(
-                [
-                    coefficients.reshape(len(piece), -1),
-                    at_ends(slope.bandwidth),
-                    at_ends(states),
-                    at_ends(bend),
-                ],
-                axis=1,
-            ),
-            columns=np.concatenate(
-                [
-                    v.coefficient_columns(piece, tr.degree + 1),
-                    v.alpha_columns[piece],
-                    v.alpha_columns[piece + 1],
-                    v.state_columns[piece],
-                    v.move_columns[piece],
-                    v.move_columns[piece + 1],
-                ],
-                axis=1,
-            ),
+        values = np.concatenate(
+            [
+                coefficients.reshape(len(piece), -1),
+                at_ends(slope.bandwidth),
+                at_ends(states),
+                at_ends(bend),
+            ],
+            axis=1,
         )
+        columns = np.concatenate(
+            [
+                v.coefficient_columns(piece, tr.degree + 1),
+                v.alpha_columns[piece],
+                v.alpha_columns[piece + 1],
+                v.state_columns[piece],
+                v.move_columns[piece],
+                v.move_columns[piece + 1],
+            ],
+            axis=1,
+        )
+        return -values / INPUT_SCALE, columns
+
+    def _by_knot(
+        self, iterate: Iterate, secant: float
+    ) -> tuple[Array, tuple[Array, Array]]:
+        """What every knot reads: of the velocity error's bound, and of Δ's margin.
+
+        Returns:
+            The bound by the entries of z that a knot and its moves read, broadcast to
+            ``(K, m, C + q)``; values and columns of the margins' rows.
+        """
+        tr, v = self.transcription, self.variables
+        n, m, K = tr.order, tr.outputs, tr.intervals + 1
+        reads = np.concatenate([v.knot_columns, v.move_columns], axis=1)
+        if n > 1:
+            states = slice(v.local_matrix.shape[1] - v.num_states * m, None)
+            rate = np.zeros((m, reads.shape[1]))
+            rate[:, : v.local_matrix.shape[1]][:, states] = v.rate_matrix
+            rate = np.broadcast_to(rate, (K, *rate.shape))
+            if not iterate.error_margin.size:
+                return rate, NO_ROWS
+
+        def limited(x: Array) -> Array:
+            local = Local.unpack(x, n, m)
+            margin = tr.error_margin(local.state, local.error_bound)
+            return np.concatenate([tr.used_rate(local), -margin], axis=-1)
+
+        slopes = limit_slopes(tr.problem, iterate.local, secant)
+        bend = np.zeros((K, m + iterate.error_margin.shape[1], len(v.kinked)))
+        if len(v.kinked):
+            flat = iterate.local.pack()
+            bend = kinks(bends(limited, flat, secant, v.kinked), secant)
+        if n == 1:
+            by_rate = slopes.used_rate @ v.local_matrix
+            rate = np.concatenate([by_rate, bend[:, :m]], axis=2)
+        trusted = np.concatenate(
+            [slopes.error_margin @ v.local_matrix, -bend[:, m:]], axis=2
+        )
+        count = trusted.shape[1]
+        return rate, (
+            trusted.reshape(K * count, reads.shape[1]),
+            reads.repeat(count, axis=0),
+        )
+
+    def _speed_rows(
+        self, speeds: tuple[Array, ...], rate: Array
+    ) -> tuple[Array, Array]:
+        """Values and columns of the speed's limit.
+
+        Args:
+            speeds: piece, control point, axis and sign of each row.
+            rate: the velocity error's bound, see `_by_knot`.
+        """
+        tr, v = self.transcription, self.variables
+        piece, control, axis, sign = speeds
+        reads = np.concatenate([v.knot_columns, v.move_columns], axis=1)
+        speed = tr.speed_basis[control] * np.where(sign, 1.0, -1.0)[:, None]
+        own = piece[:, None] + np.arange(speed.shape[1])
+        weight = (control / tr.order)[:, None]
+        before, after = rate[piece, axis], rate[piece + 1, axis]
+        values = [speed, (weight - 1) * before, -weight * after]
+        columns = [own * tr.outputs + axis[:, None], reads[piece], reads[piece + 1]]
+        return np.concatenate(values, axis=1), np.concatenate(columns, axis=1)
 
     def _halfplane_rows(self, planes: Halfplanes) -> tuple[Array, Array]:
         """Values and columns of every half-plane at every control point."""
@@ -494,7 +482,7 @@ class Program:
             columns.repeat(controls, axis=0),
         )
 
-    def _update_cost(self, iterate: Iterate, by_local: Array, shape: Shape) -> None:
+    def _update_cost(self, iterate: Iterate, shape: Shape) -> None:
         """Gauss-Newton model of the cost, exact where it is quadratic.
 
         And the curvature of the norms in the rows, where Δ varies: elsewhere the
@@ -504,6 +492,7 @@ class Program:
         m, N, width = tr.outputs, tr.intervals, tr.degree * tr.outputs
         scale = np.sqrt(p.input_weight * tr.weights)[:, None]
         self._residual = scale * tr.feedforward(iterate.local)
+        by_local = feedforward_slopes(p.model, iterate.local, shape.secant)
         self._slopes = scale[..., None] * (by_local @ v.local_matrix[:, :width])
         square = 2 * (self._slopes.swapaxes(1, 2) @ self._slopes)
         gradient = 2 * (self._residual[:, None] @ self._slopes)[:, 0]

@@ -89,17 +89,15 @@ def differences(
 
 
 @dataclasses.dataclass(frozen=True)
-class LocalSlopes:
+class LimitSlopes:
     """Derivatives by `Local.pack`, whose width is L, at K instants.
 
     Attributes:
-        feedforward: of u*, ``(K, m, L)``.
         used_input: of the bound of the input's norm, ``(K, L)``.
         used_rate: of the velocity error's bound if n = 1, else ``(K, 0, L)``.
         error_margin: of `Transcription.error_margin`, ``(K, 0 or m, L)``.
     """
 
-    feedforward: Array
     used_input: Array
     used_rate: Array
     error_margin: Array
@@ -107,34 +105,52 @@ class LocalSlopes:
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
 
-def local_slopes(problem: Problem, local: Local, secant: float) -> LocalSlopes:
-    """Derivatives of what `Transcription` computes of one instant.
+def feedforward_slopes(model: Model, local: Local, secant: float) -> Array:
+    """Derivatives of u* = B⁻¹ (y*^(n) - F̂(x*)), ``(K, m, L)``; see `limit_slopes`."""
+    parts = _Parts(
+        {
+            "drift": lambda x, _: model.drift(x),
+            "inverse": lambda x, _: model.inverse_input_matrix(x),
+        },
+        local,
+        secant,
+    )
+    drift, by_drift = parts["drift"]
+    inverse, by_inverse = parts["inverse"]
+    by_model = -inverse @ by_drift
+    if by_inverse.any():
+        missing = local.highest - drift
+        by_model += np.einsum("kijl,kj->kil", by_inverse, missing)
+    return _by_local(local, by_model, inverse, 0.0 * inverse)
+
+
+def limit_slopes(problem: Problem, local: Local, secant: float) -> LimitSlopes:
+    """Derivatives of what `Transcription` compares with limits at one instant.
 
     Args:
         problem: whose input, rate and error margin are meant.
         local: at K instants, batched over one axis.
         secant: see `differences`.
     """
-    n, m = problem.model.order, problem.model.num_outputs
-    parts = _ModelParts(problem.model, local, secant)
-    K, split = len(local.layer), n * m
+    model, n, m = problem.model, problem.model.order, problem.model.num_outputs
 
-    def by_local(by_model: Array, by_highest: Array, by_gain: Array) -> Array:
-        """From x* and R, y*^(n) and κ = αΦ."""
-        lead = (1,) * (by_model.ndim - 2)
-        bandwidth, layer = (
-            a.reshape(K, *lead, m) for a in (local.bandwidth, local.layer)
-        )
-        return np.concatenate(
-            [
-                by_model[..., :split],
-                by_highest,
-                by_gain * bandwidth,
-                by_gain * layer,
-                by_model[..., split:],
-            ],
-            axis=-1,
-        )
+    def true(x: Array, radius: Array) -> Array:
+        if isinstance(model, ConstantUncertainty) and model.covers:
+            return model.model.model_error_bound_over(x, radius)
+        return np.zeros((*x.shape[:-2], 0))
+
+    parts = _Parts(
+        {
+            "drift_bound": model.drift_bound,
+            "own": lambda x, _: model.model_error_bound(x),
+            "largest": model.model_error_bound_over,
+            "true": true,
+            "inverse": lambda x, _: model.inverse_input_matrix(x),
+            "deviation": model.inverse_input_deviation,
+        },
+        local,
+        secant,
+    )
 
     # Theorem 2, as in `tightening.feedback_bound`.
     largest, by_largest = parts["largest"]
@@ -150,12 +166,12 @@ def local_slopes(problem: Problem, local: Local, secant: float) -> LocalSlopes:
     by_feedback += sign[:, :, None] * (by_largest / 2 - by_own)
     axes = np.arange(m)
     for k in range(1, n):
-        by_feedback[:, axes, split + k * m + axes] += c[k - 1]
+        by_feedback[:, axes, (n + k) * m + axes] += c[k - 1]
 
     # Corollary 2, as in `tightening.input_bound`.
     highest, away = local.highest, magnitude(local.highest)
-    inverse, by_inverse = parts.matrix("inverse")
-    deviation, by_deviation = parts.matrix("deviation")
+    inverse, by_inverse = parts["inverse"]
+    deviation, by_deviation = parts["deviation"]
     reaction = np.abs(inverse) + deviation
     nominal = (inverse * highest[:, None]).sum(axis=-1)
     worst = (deviation * away[:, None] + reaction * feedback[:, None]).sum(axis=-1)
@@ -169,66 +185,67 @@ def local_slopes(problem: Problem, local: Local, secant: float) -> LocalSlopes:
         by_model += np.einsum("kpi,kijl,kj->kpl", against, changes, feedback)
         by_model += np.einsum("kpi,kijl,kj->kpl", against, by_deviation, away)
     by_highest = along @ inverse + against @ deviation * (highest / away)[:, None]
-    used_input = by_local(by_model, by_highest, through * sign[:, None])
-
-    drift, by_drift = parts["drift"]
-    by_model = -inverse @ by_drift
-    if by_inverse.any():
-        by_model += np.einsum("kijl,kj->kil", by_inverse, highest - drift)
-    nothing = np.zeros((K, m, m))
-    feedforward = by_local(by_model, np.broadcast_to(inverse, (K, m, m)), nothing)
+    used_input = _by_local(local, by_model, by_highest, through * sign[:, None])
 
     # Corollary 1, as in `tightening.rate_bound`.
-    rate = by_local(2 * by_largest - by_own, nothing, nothing + np.eye(m))
+    nothing = 0.0 * inverse
+    rate = _by_local(local, 2 * by_largest - by_own, nothing, nothing + np.eye(m))
     _, by_true = parts["true"]
     none = nothing[:, : by_true.shape[1]]
-    return LocalSlopes(
-        feedforward=feedforward,
+    return LimitSlopes(
         used_input=used_input[:, 0],
         used_rate=rate[:, : m if n == 1 else 0],
-        error_margin=by_local(-by_true, none, none),
+        error_margin=_by_local(local, -by_true, none, none),
     )
 
 
-class _ModelParts:
+def _by_local(
+    local: Local, by_model: Array, by_highest: Array, by_gain: Array
+) -> Array:
+    """From x* and R, y*^(n) and κ = αΦ to `Local.pack`, ``(K, r, L)``."""
+    split = local.state[0].size
+    return np.concatenate(
+        [
+            by_model[..., :split],
+            by_highest,
+            by_gain * local.bandwidth[:, None],
+            by_gain * local.layer[:, None],
+            by_model[..., split:],
+        ],
+        axis=-1,
+    )
+
+
+class _Parts:
     """What a model says of K boxes around states, each part with its slope."""
 
-    def __init__(self, model: Model, local: Local, secant: float) -> None:
-        self._shape = (model.num_outputs, model.num_outputs)
-
-        def parts(state: Array, radius: Array) -> dict[str, Array]:
-            found = {
-                "drift": model.drift(state),
-                "drift_bound": model.drift_bound(state, radius),
-                "own": model.model_error_bound(state),
-                "largest": model.model_error_bound_over(state, radius),
-                "true": np.zeros((*state.shape[:-2], 0)),
-                "inverse": model.inverse_input_matrix(state),
-                "deviation": model.inverse_input_deviation(state, radius),
-            }
-            if isinstance(model, ConstantUncertainty) and model.covers:
-                found["true"] = model.model.model_error_bound_over(state, radius)
-            return found
+    def __init__(
+        self,
+        functions: dict[str, Callable[[Array, Array], Array]],
+        local: Local,
+        secant: float,
+    ) -> None:
+        one = {
+            name: function(local.state[:1], local.error_bound[:1])[0]
+            for name, function in functions.items()
+        }
+        self._shape = {name: value.shape for name, value in one.items()}
+        ends = np.cumsum([value.size for value in one.values()])
+        self._where = {
+            name: slice(end - value.size, end)
+            for (name, value), end in zip(one.items(), ends, strict=True)
+        }
 
         def flat(state: Array, radius: Array) -> Array:
             lead = state.shape[:-2]
-            values = parts(state, radius).values()
+            values = [function(state, radius) for function in functions.values()]
             return np.concatenate([v.reshape(*lead, -1) for v in values], axis=-1)
 
-        one = parts(local.state[:1], local.error_bound[:1])
-        ends = np.cumsum([v[0].size for v in one.values()])
-        self._where = {
-            name: slice(end - v[0].size, end)
-            for (name, v), end in zip(one.items(), ends, strict=True)
-        }
         self._found = differences(flat, local.state, local.error_bound, secant)
 
     def __getitem__(self, name: str) -> tuple[Array, Array]:
-        where = self._where[name]
-        return self._found.value[:, where], self._found.slope[:, where]
-
-    def matrix(self, name: str) -> tuple[Array, Array]:
-        """A part that is a matrix, ``(K, m, m)``, and its slope."""
-        value, slope = self[name]
+        """Value ``(K, ...)`` and slope ``(K, ..., 2 n m)``."""
+        where, shape = self._where[name], self._shape[name]
+        value, slope = self._found.value[:, where], self._found.slope[:, where]
         K = len(value)
-        return value.reshape(K, *self._shape), slope.reshape(K, *self._shape, -1)
+        return value.reshape(K, *shape), slope.reshape(K, *shape, slope.shape[-1])

@@ -364,7 +364,14 @@ class Transcription:
             disturbance_bound=p.disturbance_bound,
         )
         at_knots = slice(None, None, self.tube_steps)
-        local = self._local(reference, tube, alpha[::2], at_knots)
+        knots = nodes[at_knots]
+        local = Local(
+            state=knots[:, :n],
+            highest=knots[:, n],
+            layer=tube.boundary_layer[at_knots],
+            bandwidth=bandwidth,
+            error_bound=tube.error_bound[at_knots],
+        )
         rate_chord = self._chord(used_rate[at_knots], n)
         speed_controls = self.speed_basis @ windows
         # Where the knots under-represent a piece, take off the difference.
@@ -397,34 +404,35 @@ class Transcription:
         inner = bandwidth[:-1, None] * (1 - weight) + bandwidth[1:, None] * weight
         return np.concatenate([inner.reshape(-1, self.outputs), bandwidth[-1:]])
 
-    def _local(
-        self, reference: Array, tube: Tube, bandwidth: Array, nodes: Array | slice
-    ) -> Local:
-        """What enters at some nodes of the fine grid."""
-        state = reference[::2][nodes]
+    def local_at(self, iterate: Iterate, nodes: Array) -> Local:
+        """What enters at some nodes of the fine grid of an iterate."""
+        piece, later = self.within(nodes)
+        alpha = iterate.bandwidth
+        between = alpha[piece] + later[:, None] * (alpha[piece + 1] - alpha[piece])
+        state = iterate.reference[2 * nodes]
         return Local(
             state=state[:, : self.order],
             highest=state[:, self.order],
-            layer=tube.boundary_layer[nodes],
-            bandwidth=bandwidth[nodes],
-            error_bound=tube.error_bound[nodes],
+            layer=iterate.tube.boundary_layer[nodes],
+            bandwidth=between,
+            error_bound=iterate.tube.error_bound[nodes],
         )
 
-    def local_at(self, iterate: Iterate, nodes: Array) -> Local:
-        """What enters at some nodes of the fine grid of an iterate."""
-        grid = np.arange(self.intervals * self.tube_steps + 1) / self.tube_steps
-        knots = np.arange(self.intervals + 1)
-        alpha = [np.interp(grid, knots, a) for a in iterate.bandwidth.T]
-        return self._local(iterate.reference, iterate.tube, np.stack(alpha, -1), nodes)
+    def within(self, nodes: Array) -> tuple[Array, Array]:
+        """The pieces that nodes of the fine grid are in, and how far, in [0, 1]."""
+        piece = np.minimum(nodes // self.tube_steps, self.intervals - 1)
+        return piece, nodes / self.tube_steps - piece
 
     def basis_at(self, nodes: Array) -> Array:
         """Spline basis of y* and its derivatives, ``(len(nodes), n + 1, degree + 1)``.
 
         Args:
-            nodes: of the fine grid, but the last.
+            nodes: of the fine grid.
         """
-        basis = self._half_basis.reshape(-1, self.order + 1, self.degree + 1)
-        return np.asarray(basis[2 * (nodes % self.tube_steps)])
+        half = self._half_basis.reshape(-1, self.order + 1, self.degree + 1)
+        whole = np.concatenate([half[::2], self._end_basis[None]])
+        piece, _ = self.within(nodes)
+        return np.asarray(whole[nodes - piece * self.tube_steps])
 
     def _cost(self, local: Local, bandwidth: Array) -> float:
         p = self.problem
