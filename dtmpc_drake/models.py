@@ -180,6 +180,11 @@ class Model(abc.ABC):
         """Whether Δ depends on the state; False saves the planner some work."""
         return True
 
+    @property
+    def input_is_identity(self) -> bool:
+        """Whether B is the identity everywhere, so that nobody needs to multiply."""
+        return type(self).inverse_input_matrix is Model.inverse_input_matrix
+
     def inverse_input_matrix(self, x: Array) -> Array:
         """B(x)⁻¹, shape ``(..., m, m)``; the identity unless overridden."""
         eye = np.eye(self.num_outputs)
@@ -431,6 +436,11 @@ class ConstantUncertainty(Model):
     def model_error_bound_under(self, x: Array, radius: Array) -> Array:
         """The constant, broadcast over the batch."""
         return self.model_error_bound(x)
+
+    @property
+    def input_is_identity(self) -> bool:
+        """See base class."""
+        return self.model.input_is_identity
 
     def inverse_input_matrix(self, x: Array) -> Array:
         """See base class."""

@@ -435,6 +435,10 @@ def _locate(
     grid: FloatArray, time: FloatArray | float
 ) -> tuple[FloatArray, npt.NDArray[np.intp]]:
     """Time since the start of the piece, and the piece's index; clamped."""
+    if isinstance(time, float):  # a flight's look-ups, for which arrays are slow
+        t = min(max(time, grid[0]), grid[-1])
+        one = min(max(grid.searchsorted(t, side="right") - 1, 0), len(grid) - 2)
+        return np.asarray(t - grid[one]), np.asarray(one)
     time = np.clip(np.asarray(time, dtype=float), grid[0], grid[-1])
     piece = np.clip(np.searchsorted(grid, time, side="right") - 1, 0, len(grid) - 2)
     return time - grid[piece], piece

@@ -122,11 +122,13 @@ def _plant_of(T: Any) -> Any:
             """Each row's derivative is the next row, the last one's y^(n)."""
             x = context.get_continuous_state_vector().CopyToVector()
             x = x.reshape(self._shape)
-            B = self._model.input_matrix(x)
             u = self._control.Eval(context).reshape(*self._lead, -1)
+            if not self._model.input_is_identity:
+                B = self._model.input_matrix(x)
+                u = np.einsum("...ij,...j->...i", B, u)
             highest = (
                 self._drift(context, x)
-                + np.einsum("...ij,...j->...i", B, u)
+                + u
                 + self._disturbance.Eval(context).reshape(*self._lead, -1)
             )
             rates = np.concatenate([x[..., 1:, :], highest[..., None, :]], axis=-2)
