@@ -40,6 +40,8 @@ def euclidean_norm(v: Array) -> Array:
     Returns:
         Shape ``(...)``; at most 1e-6 too large.
     """
+    if v.strides[-1] != v.itemsize:  # the same order of additions in any memory order
+        v = np.ascontiguousarray(v)
     return np.asarray(np.sqrt(np.einsum("...i,...i", v, v) + _SMOOTHING**2))
 
 

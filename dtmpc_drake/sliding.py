@@ -166,7 +166,7 @@ def control(
         reaching_rate=reaching_rate,
         boundary_layer_rate=boundary_layer_rate,
     )
-    s = sliding_variable(error, slope)
+    s = _weighted_sum(coefficients, error)
     demand = (
         reference[..., order, :]
         - model.drift(state)
