@@ -36,9 +36,9 @@ def surface_coefficients(slope: Array, order: int) -> Array:
 @lru_cache
 def _kept_coefficients(slope: tuple[float, ...], order: int) -> Array:
     """A flight asks for the same ones at every stage of every step."""
-    coefficients = surface_coefficients(np.array(slope)[None], order)[0]
+    (coefficients,) = surface_coefficients(np.array(slope)[None], order)
     coefficients.flags.writeable = False
-    return coefficients
+    return np.asarray(coefficients)
 
 
 def _weighted_sum(weights: Array, rows: Array) -> Array:
@@ -52,7 +52,7 @@ def _weighted_sum(weights: Array, rows: Array) -> Array:
         Shape ``(..., m)``; zero without rows.
     """
     terms = [weights[..., k, :] * rows[..., k, :] for k in range(rows.shape[-2])]
-    return np.asarray(sum(terms[1:], start=terms[0])) if terms else rows.sum(axis=-2)
+    return np.asarray(sum(terms[1:], start=terms[0]) if terms else rows.sum(axis=-2))
 
 
 def sliding_variable(error: Array, slope: Array) -> Array:

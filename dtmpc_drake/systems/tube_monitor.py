@@ -85,8 +85,8 @@ class TubeMonitor(LeafSystem):
     true position from the surface of each obstacle, in m and negative inside;
     without obstacles it is one infinity.  `quantities`, ``(7,)``, is what the
     `QUANTITIES` of `dtmpc_drake.verdict` are now, and `record` its flattened ``(6, 7)``
-    record: the worst so far of each, and when a limit was broken first.  With `trials`, `state`, `control` and all outputs
-    have one more axis in front.
+    record: the worst so far of each, and when a limit was broken first.  With
+    `trials`, `state`, `control` and all outputs have one more axis in front.
 
     The record is state, which every step of the simulator begins by updating,
     after a new plan has come into force.  Its output has the present instant in
