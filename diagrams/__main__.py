@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
@@ -82,6 +83,9 @@ def simulate(
         str | None,
         typer.Option(metavar="clarabel|ipopt", help="Solver, instead of the file's."),
     ] = None,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", help="Print what came out, and no progress.")
+    ] = False,
 ) -> None:
     """Plan a scenario, fly it, and write replay, figures and numbers.
 
@@ -100,8 +104,13 @@ def simulate(
     with _input_errors(out):
         chosen = _with_options(load_scenario(scenario), seed=seed, backend=backend)
         console.print(repr(chosen), markup=False)
-        console.print(table_header(), style="bold", markup=False)
-        experiment = run(chosen, out, report=report)
+        if not quiet:
+            console.print(table_header(), style="bold", markup=False)
+        shown = console.is_terminal and not quiet
+        with _flight(console, chosen.duration) if shown else nullcontext() as flown:
+            experiment = run(
+                chosen, out, report=None if quiet else report, progress=flown
+            )
     console.print()
     console.print(repr(experiment), markup=False)
     if not experiment.safe:
@@ -279,6 +288,30 @@ def _input_errors(out: Path | None) -> Iterator[None]:
         reason = error.strerror or type(error).__name__
         where = error.filename or out
         _refuse(f"--out: got {str(where)!r}, but it must be writable ({reason})")
+
+
+@contextlib.contextmanager
+def _flight(console: Console, duration: float) -> Iterator[Callable[[float], None]]:
+    """A line that says how much of a flight is flown: what to call on the way."""
+    columns = (
+        TextColumn("flight"),
+        BarColumn(),
+        TextColumn("{task.completed:.0f} of {task.total:g} s"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task("", total=duration, start=False, visible=False)
+        said = -duration
+
+        def flown(time: float) -> None:
+            nonlocal said
+            if time >= said + duration / 200:  # steps may be very many
+                said = time
+                progress.start_task(task)
+                progress.update(task, completed=time, visible=True)
+
+        yield flown
 
 
 @contextlib.contextmanager

@@ -14,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -22,16 +22,16 @@ import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder
-from pydrake.systems.primitives import LogVectorOutput
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus
 
 from diagrams.live_view import LiveView
 from diagrams.saved_log import check_arrays, read_array, read_replans, read_status
 from dtmpc_drake import verdict
 from dtmpc_drake.models import Array
-from dtmpc_drake.monte_carlo import Trial
+from dtmpc_drake.monte_carlo import Flights, Recorder, Trial
 from dtmpc_drake.plan import DAMAGE, Plan
 from dtmpc_drake.replan import Replan, flown_plan
+from dtmpc_drake.sampling import samples, step_times
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.systems import (
     DtmpcPlanner,
@@ -42,8 +42,6 @@ from dtmpc_drake.systems import (
     SlidingModeTracker,
     TubeMonitor,
 )
-
-LOG_PERIOD = 0.01  # s
 
 _LOGGED = (
     "state",
@@ -77,9 +75,9 @@ def MakeClosedLoop(
     Returns:
         A diagram named ``closed_loop`` that exports the output ports `state`,
         `control`, `reference`, `plan`, `status`, `disturbance`, `tube_ratios`,
-        `clearance` and `record`; if there may be more plans than one, `known_since` and
-        `replans`, too; if the disturbance chooses it, `model_error`.  See the
-        systems for their meaning.
+        `clearance`, `quantities` and `record`; if there may be more plans than one,
+        `known_since` and `replans`, too; if the disturbance chooses it,
+        `model_error`.  See the systems for their meaning.
 
     Raises:
         ValueError: if trials come without a plan or with a Meshcat, or with a
@@ -141,7 +139,7 @@ def MakeClosedLoop(
         control=outputs["control"],
         trials=count,
     )
-    for name in ("tube_ratios", "clearance", "record"):
+    for name in ("tube_ratios", "clearance", "quantities", "record"):
         outputs[name] = monitor.GetOutputPort(name)
 
     if trials is None:
@@ -179,7 +177,7 @@ def MakeClosedLoop(
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Log:
-    """What the exported ports said, every `LOG_PERIOD` and at the end.
+    """What the exported ports said, once in every `log_period` and at the end.
 
     Only `record` looks more often: at every step of the integrator.
 
@@ -315,7 +313,13 @@ class Log:
         )
 
 
-def Simulate(scenario: Scenario, *, plan: Plan | None = None) -> Log:
+Progress = Callable[[float], None]
+"""Is called with the time of a flight, in s, after every step of its grid."""
+
+
+def Simulate(
+    scenario: Scenario, *, plan: Plan | None = None, progress: Progress | None = None
+) -> Log:
     """Simulates a scenario to its end.
 
     The seed of the scenario decides everything random, so the same scenario
@@ -324,6 +328,7 @@ def Simulate(scenario: Scenario, *, plan: Plan | None = None) -> Log:
     Args:
         scenario: the whole experiment.
         plan: to fly instead of planning at the start.
+        progress: is told how far the flight is.
 
     Returns:
         The log.  If no certified plan was found, its status says why, and what
@@ -334,12 +339,9 @@ def Simulate(scenario: Scenario, *, plan: Plan | None = None) -> Log:
     """
     scenario.require_stable_simulation()
     loop = MakeClosedLoop(scenario, plan=plan)
-
-    def seed(context: Context) -> None:
-        generator = RandomGenerator(scenario.simulation.seed)
-        loop.SetRandomContext(loop.GetMyMutableContextFromRoot(context), generator)
-
-    return _run(scenario, loop, seed=seed, lead=())
+    context = loop.CreateDefaultContext()
+    loop.SetRandomContext(context, RandomGenerator(scenario.simulation.seed))
+    return _logged(scenario, loop, context, lead=(), progress=progress)
 
 
 def SimulateTrials(scenario: Scenario, *, plan: Plan, trials: Sequence[Trial]) -> Log:
@@ -360,54 +362,121 @@ def SimulateTrials(scenario: Scenario, *, plan: Plan, trials: Sequence[Trial]) -
     Raises:
         ScenarioError: if the integrator's step is too long to be stable.
     """
+    loop, context = _side_by_side(scenario, plan, trials)
+    return _logged(scenario, loop, context, lead=(len(trials),))
+
+
+def FlyTrials(scenario: Scenario, *, plan: Plan, trials: Sequence[Trial]) -> Flights:
+    """Flies many trials as `SimulateTrials` does, and keeps what is reported alone.
+
+    Args:
+        scenario: as for `SimulateTrials`.
+        plan: to fly.
+        trials: at least one.
+
+    Raises:
+        ScenarioError: if the integrator's step is too long to be stable.
+    """
+    loop, context = _side_by_side(scenario, plan, trials)
+    recorder = Recorder(scenario, trials)
+    count = len(trials)
+    state, quantities = map(loop.GetOutputPort, ("state", "quantities"))
+
+    def look(root: Context) -> EventStatus:
+        recorder.look(root.get_time(), quantities.Eval(root).reshape(count, -1))
+        return EventStatus.DidNothing()
+
+    rows = set(recorder.rows.tolist())
+    m = scenario.model.num_outputs
+    for step in _steps(scenario, loop, context, look=look):
+        if step in rows:
+            recorder.sample(state.Eval(context).reshape(count, -1, m)[:, 0])
+    return recorder.flights(_record(loop, context, (count,)))
+
+
+def _side_by_side(
+    scenario: Scenario, plan: Plan, trials: Sequence[Trial]
+) -> tuple[Diagram, Context]:
+    """The loop of many trials, and its Context with the seed of each."""
     scenario.require_stable_simulation()
     loop = MakeClosedLoop(scenario, plan=plan, trials=trials)
-
-    def seed(context: Context) -> None:
-        disturbance = loop.GetSubsystemByName("disturbance")
-        SeedTrials(disturbance, context, [trial.seed for trial in trials])
-
-    return _run(scenario, loop, seed=seed, lead=(len(trials),))
+    context = loop.CreateDefaultContext()
+    disturbance = loop.GetSubsystemByName("disturbance")
+    SeedTrials(disturbance, context, [trial.seed for trial in trials])
+    return loop, context
 
 
-def _run(
+def _steps(
     scenario: Scenario,
     loop: Diagram,
+    context: Context,
     *,
-    seed: Callable[[Context], None],
-    lead: tuple[int, ...],
-) -> Log:
-    """Simulates a closed loop to its end.
+    look: Callable[[Context], EventStatus] | None = None,
+    progress: Progress | None = None,
+) -> Iterator[int]:
+    """Flies to the end, and stops at the start and after every step of the grid.
+
+    The steps are those of `step_times`, whoever looks at them and when, so that a
+    flight is the same to the last bit however it is logged.
 
     Args:
         scenario: gives the integrator and the end.
         loop: from `MakeClosedLoop`.
-        seed: sets everything random in the root Context.
-        lead: ``()``, or ``(trials,)``.
+        context: of the loop.
+        look: is called at the start and after every step of the integrator, also
+            where something else that happens has cut a step of the grid in two.
+        progress: is called after every step of the grid.
+
+    Yields:
+        The number of the step in `step_times`.
     """
-    builder = DiagramBuilder()
-    builder.AddSystem(loop)
-    sinks = {
-        name: LogVectorOutput(loop.GetOutputPort(name), builder, LOG_PERIOD)
-        for name in _LOGGED
-    }
-    diagram = builder.Build()
-    diagram.set_name("simulation")
-    context = diagram.CreateDefaultContext()
-    seed(context)
-    simulator = Simulator(diagram, context)
+    simulator = Simulator(loop, context)
     config = SimulatorConfig(
         integration_scheme=scenario.simulation.integration_scheme,
-        max_step_size=scenario.simulation.max_step_size,
+        # A hair more: else rounding would cut slivers off the steps of the grid.
+        max_step_size=scenario.simulation.max_step_size * (1 + 1e-6),
         # A step that depends on the error would tie each trial to all others.
         use_error_control=False,
     )
     ApplySimulatorConfig(config, simulator)
+    if look is not None:
+        simulator.set_monitor(look)
     simulator.Initialize()
-    simulator.AdvanceTo(scenario.duration)
-    logs = {name: sink.FindLog(context) for name, sink in sinks.items()}
-    if logs["state"].sample_times()[-1] < scenario.duration - LOG_PERIOD / 10:
-        diagram.ForcedPublish(context)  # the end is no multiple of the period
+    yield 0
+    times = step_times(scenario.duration, scenario.simulation.max_step_size)
+    for number, time in enumerate(times[1:].tolist(), start=1):
+        simulator.AdvanceTo(time)
+        if progress is not None:
+            progress(time)
+        yield number
+
+
+def _logged(
+    scenario: Scenario,
+    loop: Diagram,
+    context: Context,
+    *,
+    lead: tuple[int, ...],
+    progress: Progress | None = None,
+) -> Log:
+    """Simulates a closed loop to its end, and logs it.
+
+    Args:
+        scenario: gives the integrator, the end and the period of the log.
+        loop: from `MakeClosedLoop`.
+        context: of the loop, with its seed.
+        lead: ``()``, or ``(trials,)``.
+        progress: as for `Simulate`.
+    """
+    times = step_times(scenario.duration, scenario.simulation.max_step_size)
+    rows = samples(times, scenario.simulation.log_period)
+    row_of = {int(step): row for row, step in enumerate(rows)}
+    ports = {name: loop.GetOutputPort(name) for name in _LOGGED}
+    flat = {name: np.empty((len(rows), port.size())) for name, port in ports.items()}
+    for step in _steps(scenario, loop, context, progress=progress):
+        if step in row_of:
+            for name, port in ports.items():
+                flat[name][row_of[step]] = port.Eval(context)
 
     n, m = scenario.model.order, scenario.model.num_outputs
     shapes = {
@@ -415,23 +484,27 @@ def _run(
         "reference": (n + 1, m),
         "tube_ratios": (*lead, 3, m),
     }
-    arrays = {}
-    for name, log in logs.items():
-        data = log.data().T.copy()
-        shape = shapes.get(name, (*lead, -1))
-        arrays[name] = data.reshape(len(data), *shape)
-    inside = loop.GetMyContextFromRoot(context)
+    arrays = {
+        name: rows_of.reshape(len(rows), *shapes.get(name, (*lead, -1)))
+        for name, rows_of in flat.items()
+    }
     known_since, replans = np.zeros(len(scenario.obstacles)), ()
     if loop.HasOutputPort("replans"):
-        known_since = loop.GetOutputPort("known_since").Eval(inside).copy()
+        known_since = loop.GetOutputPort("known_since").Eval(context).copy()
         known_since = known_since[: len(scenario.obstacles)]
-        replans = loop.GetOutputPort("replans").Eval(inside)
-    record = loop.GetOutputPort("record").Eval(inside)
+        replans = loop.GetOutputPort("replans").Eval(context)
     return Log(
-        record=record.reshape(len(verdict.COLUMNS), *lead, len(verdict.QUANTITIES)),
-        time=logs["state"].sample_times().copy(),
-        status=loop.GetOutputPort("status").Eval(inside),
+        record=_record(loop, context, lead),
+        time=times[rows],
+        status=loop.GetOutputPort("status").Eval(context),
         known_since=known_since,
         replans=replans,
         **arrays,
     )
+
+
+def _record(loop: Diagram, context: Context, lead: tuple[int, ...]) -> Array:
+    """What the monitor recorded, ``(6, *lead, 7)``."""
+    record = loop.GetOutputPort("record").Eval(context)
+    shape = (len(verdict.COLUMNS), *lead, len(verdict.QUANTITIES))
+    return np.asarray(record.reshape(shape))

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from diagrams.closed_loop import Log, Simulate
+from diagrams.closed_loop import Log, Progress, Simulate
 from diagrams.outputs import placed, replacing
 from dtmpc_drake.planning import Iteration, PlanningResult, plan
 from dtmpc_drake.replan import counted, table
@@ -120,6 +120,7 @@ def run(
     out: str | Path | None = None,
     *,
     report: Callable[[Iteration], None] | None = None,
+    progress: Progress | None = None,
 ) -> Experiment:
     """Plans, simulates if the plan is certified, and writes everything.
 
@@ -133,6 +134,7 @@ def run(
         scenario: the whole experiment.
         out: directory; ``out/<name of the scenario>`` if left out.
         report: is called with every iteration of the planner as it ends.
+        progress: is told how far the flight is.
 
     Raises:
         ScenarioError: if the scenario makes no sense; nothing is written then.
@@ -142,12 +144,15 @@ def run(
     scenario.require_stable_simulation()
     out = Path("out", scenario.name) if out is None else Path(out)
     with replacing(out, (*OUTPUTS, ATTEMPT, CANDIDATES, REPLANS)) as work:
-        ended = _run(scenario, work, report)
+        ended = _run(scenario, work, report, progress)
     return dataclasses.replace(ended, files=placed(ended.files, work, out))
 
 
 def _run(
-    scenario: Scenario, out: Path, report: Callable[[Iteration], None] | None
+    scenario: Scenario,
+    out: Path,
+    report: Callable[[Iteration], None] | None,
+    progress: Progress | None,
 ) -> Experiment:
     result = plan(scenario, report=report)
     log = None
@@ -155,7 +160,8 @@ def _run(
     color_by = color_of(scenario)
     if result.certified and result.plan is not None:
         # On the way, the planner makes its own first plan: the same one.
-        log = Simulate(scenario, plan=None if scenario.is_receding else result.plan)
+        given = None if scenario.is_receding else result.plan
+        log = Simulate(scenario, plan=given, progress=progress)
         flown = log.flown_plan() or result.plan
         files += [out / name for name in OUTPUTS]
         write_replay(

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
-from diagrams.closed_loop import Log, SimulateTrials
+from diagrams.closed_loop import FlyTrials
 from diagrams.experiment import color_of, summarize, write_json
 from diagrams.outputs import placed, replacing
 from diagrams.table import text_table
 from dtmpc_drake.monte_carlo import (
     Flights,
-    Trial,
     batches,
     choose_disturbances,
     draw_trials,
@@ -58,21 +57,7 @@ class Batch:
 def fly(batch: Batch) -> Flights:
     """Flies a batch in one diagram and keeps what is reported."""
     trials = draw_trials(batch.scenario, batch.numbers)
-    return reduce(
-        SimulateTrials(batch.scenario, plan=batch.plan, trials=trials), trials
-    )
-
-
-def reduce(log: Log, trials: Sequence[Trial]) -> Flights:
-    """Keeps of the log of many trials what is reported."""
-    return Flights.reduce(
-        trials,
-        time=log.time,
-        position=log.position,
-        control=log.control,
-        tube_ratios=log.tube_ratios,
-        record=log.record,
-    )
+    return FlyTrials(batch.scenario, plan=batch.plan, trials=trials)
 
 
 def fly_all(

@@ -40,6 +40,8 @@ def euclidean_norm(v: Array) -> Array:
     Returns:
         Shape ``(...)``; at most 1e-6 too large.
     """
+    if v.strides[-1] != v.itemsize:  # the same order of additions in any memory order
+        v = np.ascontiguousarray(v)
     return np.asarray(np.sqrt(np.einsum("...i,...i", v, v) + _SMOOTHING**2))
 
 
@@ -179,6 +181,11 @@ class Model(abc.ABC):
     def error_bound_varies(self) -> bool:
         """Whether Δ depends on the state; False saves the planner some work."""
         return True
+
+    @property
+    def input_is_identity(self) -> bool:
+        """Whether B is the identity everywhere, so that nobody needs to multiply."""
+        return type(self).inverse_input_matrix is Model.inverse_input_matrix
 
     def inverse_input_matrix(self, x: Array) -> Array:
         """B(x)⁻¹, shape ``(..., m, m)``; the identity unless overridden."""
@@ -431,6 +438,11 @@ class ConstantUncertainty(Model):
     def model_error_bound_under(self, x: Array, radius: Array) -> Array:
         """The constant, broadcast over the batch."""
         return self.model_error_bound(x)
+
+    @property
+    def input_is_identity(self) -> bool:
+        """See base class."""
+        return self.model.input_is_identity
 
     def inverse_input_matrix(self, x: Array) -> Array:
         """See base class."""

@@ -18,6 +18,7 @@ import numpy as np
 from dtmpc_drake import verdict
 from dtmpc_drake.logs import quiet
 from dtmpc_drake.models import Array
+from dtmpc_drake.sampling import samples, step_times
 from dtmpc_drake.scenario import (
     BangBang,
     ColoredWind,
@@ -32,7 +33,7 @@ from dtmpc_drake.scenario import (
 from dtmpc_drake.sliding import sliding_variable
 
 REPORT_PERIOD = 0.05
-"""Between two samples that are kept of a flight, in s."""
+"""Between two samples that are kept of a flight at least, in s."""
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 RATIOS = ("layer", "position", "velocity")
 """What |s|/Φ, |ỹ|/Ω and |dỹ/dt|/W are shares of."""
@@ -291,7 +292,8 @@ class Flights:
         record: of `dtmpc_drake.verdict`, ``(T, 6, 7)``: the worst of everything that
             was seen at any step of the integrator, and what broke first.
         effort: ∫‖u‖² dt, ``(T,)``.
-        time: ``(K,)``, in s, `REPORT_PERIOD` apart.
+        time: ``(K,)``, in s, `REPORT_PERIOD` apart, or the scenario's log period if
+            that is longer.
         position: ``(T, K, m)``.
         position_ratio: |ỹ|/Ω of the worst axis, the largest since the sample
             before, ``(T, K)``; infinite where it is no number.
@@ -307,53 +309,6 @@ class Flights:
     position_ratio: Array
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
-
-    @classmethod
-    def reduce(
-        cls,
-        trials: Sequence[Trial],
-        *,
-        time: Array,
-        position: Array,
-        control: Array,
-        tube_ratios: Array,
-        record: Array,
-    ) -> Flights:
-        """Keeps of a log what is reported.
-
-        Every trial is reduced alone, in the same order of additions, so that
-        the result does not depend on what else is in its batch.
-
-        Args:
-            trials: T of them.
-            time: ``(S,)``, in s.
-            position: ``(S, T, m)``.
-            control: u, ``(S, T, m)``.
-            tube_ratios: ``(S, T, 3, m)``.
-            record: of the flights, ``(6, T, 7)``.
-        """
-        used = tube_ratios[:, :, 1].max(axis=-1)
-        used = np.where(np.isnan(used), np.inf, used)
-        # The end of each period of the report, and the last sample.
-        period = np.round(time / REPORT_PERIOD, 6)
-        ends = np.unique(np.searchsorted(period, np.arange(period[-1] + 1)))
-        ends = np.unique(np.append(ends, len(time) - 1))
-        starts = np.append(0, ends[:-1] + 1)
-        power = np.ascontiguousarray((control**2).sum(axis=-1).T)
-        energy = (power[:, 1:] + power[:, :-1]) / 2 * np.diff(time)
-        return cls(
-            index=np.array([trial.index for trial in trials]),
-            seed=np.array([trial.seed for trial in trials]),
-            parameters={
-                name: np.array([trial.parameters[name] for trial in trials])
-                for name in trials[0].parameters
-            },
-            record=record.swapaxes(0, 1).copy(),
-            effort=energy.sum(axis=-1),
-            time=time[ends],
-            position=position[ends].swapaxes(0, 1).copy(),
-            position_ratio=np.maximum.reduceat(used, starts).T.copy(),
-        )
 
     @classmethod
     def concatenate(cls, parts: Sequence[Flights]) -> Flights:
@@ -489,6 +444,67 @@ class Flights:
             f"{self.collisions} collisions, worst |s|/Φ {layer:.3f}, |ỹ|/Ω "
             f"{position:.3f}, |dỹ/dt|/W {velocity:.3f}, clearance "
             f"{self.smallest_clearance.min():.3f} m)"
+        )
+
+
+class Recorder:
+    """Keeps of trials what is reported, while they fly.
+
+    Every trial is kept alone, in the same order of additions, so that the result
+    does not depend on what else is in its batch.
+
+    Args:
+        scenario: that is flown.
+        trials: T of them.
+    """
+
+    def __init__(self, scenario: Scenario, trials: Sequence[Trial]) -> None:
+        simulation = scenario.simulation
+        times = step_times(scenario.duration, simulation.max_step_size)
+        self.rows = samples(times, max(REPORT_PERIOD, simulation.log_period))
+        """Ends of steps, by number, after which `sample` must be called."""
+        self._trials = trials
+        self._time = times[self.rows]
+        count, m = len(trials), scenario.model.num_outputs
+        self._position = np.empty((count, len(self.rows), m))
+        self._position_ratio = np.empty((count, len(self.rows)))
+        self._sampled = 0
+        self._highest = np.full(count, -np.inf)  # |ỹ|/Ω since the last sample
+        self._effort = np.zeros(count)
+        self._last = 0.0, np.zeros(count)  # time and ‖u‖²
+
+    def look(self, time: float, quantities: Array) -> None:
+        """Takes in what `verdict.QUANTITIES` are, ``(T, 7)``, at the end of a step."""
+        used = quantities[:, verdict.POSITION]
+        used = np.where(np.isnan(used), np.inf, used)
+        self._highest = np.maximum(self._highest, used)
+        before, last_power = self._last
+        power = quantities[:, verdict.INPUT] ** 2
+        self._effort += (power + last_power) / 2 * (time - before)
+        self._last = time, power
+
+    def sample(self, position: Array) -> None:
+        """Takes in positions, ``(T, m)``, after a look at the same time."""
+        self._position[:, self._sampled] = position
+        self._position_ratio[:, self._sampled] = self._highest
+        self._sampled += 1
+        self._highest = np.full_like(self._highest, -np.inf)
+
+    def flights(self, record: Array) -> Flights:
+        """What was kept, with the record of the flights, ``(6, T, 7)``."""
+        trials = self._trials
+        return Flights(
+            index=np.array([trial.index for trial in trials]),
+            seed=np.array([trial.seed for trial in trials]),
+            parameters={
+                name: np.array([trial.parameters[name] for trial in trials])
+                for name in trials[0].parameters
+            },
+            record=record.swapaxes(0, 1).copy(),
+            effort=self._effort,
+            time=self._time,
+            position=self._position,
+            position_ratio=self._position_ratio,
         )
 
 

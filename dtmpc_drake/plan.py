@@ -9,7 +9,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from math import comb, factorial
 from pathlib import Path
@@ -160,9 +160,38 @@ class Plan:
 
     def error_bound(self, time: FloatArray | float) -> FloatArray:
         """Bounds of ``|ỹ^(k)|``, k < n, shape ``(..., n, m)``."""
-        return _hermite(
-            self.tube_times, self.bound_samples, self.bound_rate_samples, time
-        )[0]
+        x, c, _ = self._bound_piece(time)
+        y0, d0, c2, c3 = (c[..., k, :, :] for k in range(4))
+        return np.asarray(y0 + x * (d0 + x * (c2 + x * c3)))
+
+    def _error_bound_rate(self, time: FloatArray | float) -> FloatArray:
+        """The exact time derivative of `error_bound`."""
+        x, c, h = self._bound_piece(time)
+        _, d0, c2, c3 = (c[..., k, :, :] for k in range(4))
+        return np.asarray((d0 + x * (2 * c2 + 3 * x * c3)) / h)
+
+    def _bound_piece(
+        self, time: FloatArray | float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The share of a step of the tube that is over, its cubic and its length."""
+        t, step = _locate(self.tube_times, time)
+        length, cubics = self._bound_cubics
+        h = length[step].reshape(*t.shape, 1, 1)
+        return t.reshape(h.shape) / h, cubics[step], h
+
+    @cached_property
+    def _bound_cubics(self) -> tuple[FloatArray, FloatArray]:
+        """Lengths of the tube's steps, ``(M,)``, and the bounds as cubics on each.
+
+        They are Hermite's, in powers of the share of a step, ``(M, 4, n, m)``.
+        """
+        length = np.diff(self.tube_times)
+        h = length[:, None, None]
+        y0, y1 = self.bound_samples[:-1], self.bound_samples[1:]
+        d0, d1 = h * self.bound_rate_samples[:-1], h * self.bound_rate_samples[1:]
+        c2 = 3 * (y1 - y0) - 2 * d0 - d1
+        c3 = 2 * (y0 - y1) + d0 + d1
+        return length, np.stack([y0, d0, c2, c3], axis=1)
 
     def position_tube(self, time: FloatArray | float) -> FloatArray:
         """Ω, the bound of ``|ỹ|``, shape ``(..., m)``."""
@@ -182,17 +211,14 @@ class Plan:
         grid, step = _cut(self.tube_times, start, end)
         layer = self.layer_coefficients[step].copy()
         layer[0] = _shifted(layer[0], start - self.tube_times[step[0]])
-        bounds = _hermite(
-            self.tube_times, self.bound_samples, self.bound_rate_samples, grid
-        )
         return Plan(
             knots=knots,
             coefficients=coefficients,
             bandwidth_knots=self.bandwidth(knots),
             tube_times=grid,
             layer_coefficients=layer,
-            bound_samples=bounds[0],
-            bound_rate_samples=bounds[1],
+            bound_samples=self.error_bound(grid),
+            bound_rate_samples=self._error_bound_rate(grid),
         )
 
     def sample_times(self, period: float = _SAMPLE_PERIOD) -> FloatArray:
@@ -435,23 +461,10 @@ def _locate(
     grid: FloatArray, time: FloatArray | float
 ) -> tuple[FloatArray, npt.NDArray[np.intp]]:
     """Time since the start of the piece, and the piece's index; clamped."""
+    if isinstance(time, float):  # a flight's look-ups, for which arrays are slow
+        t = min(max(time, grid[0]), grid[-1])
+        one = min(max(grid.searchsorted(t, side="right") - 1, 0), len(grid) - 2)
+        return np.asarray(t - grid[one]), np.asarray(one)
     time = np.clip(np.asarray(time, dtype=float), grid[0], grid[-1])
     piece = np.clip(np.searchsorted(grid, time, side="right") - 1, 0, len(grid) - 2)
     return time - grid[piece], piece
-
-
-def _hermite(
-    grid: FloatArray, value: FloatArray, rate: FloatArray, time: FloatArray | float
-) -> tuple[FloatArray, FloatArray]:
-    """Cubic Hermite interpolation: value and exact derivative."""
-    t, i = _locate(grid, time)
-    extra = (1,) * (value.ndim - 1)
-    h = (grid[i + 1] - grid[i]).reshape(*t.shape, *extra)
-    x = t.reshape(*t.shape, *extra) / h
-    y0, y1, d0, d1 = value[i], value[i + 1], h * rate[i], h * rate[i + 1]
-    c2 = 3 * (y1 - y0) - 2 * d0 - d1
-    c3 = 2 * (y0 - y1) + d0 + d1
-    return (
-        y0 + x * (d0 + x * (c2 + x * c3)),
-        (d0 + x * (2 * c2 + 3 * x * c3)) / h,
-    )

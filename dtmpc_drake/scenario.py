@@ -286,11 +286,16 @@ class Simulation:
         max_step_size: of every step, in s; what happens at fixed times, such as
             a new value of the disturbance, shortens one.
         seed: of everything random.
+        log_period: between two samples of a flight's log, in s: they are at the ends
+            of steps, and so no more frequent than these.  Of many flights samples are
+            kept at least 0.05 s apart.  Extremes and verdicts are those of every
+            step, and no flight depends on the period.
     """
 
     integration_scheme: str = "runge_kutta3"
     max_step_size: float = 0.01
     seed: int = 0
+    log_period: float = 0.01
 
 
 @dataclasses.dataclass
@@ -589,6 +594,7 @@ class Scenario:
             "controller.bandwidth.min": (b.min, "rad/s"),
             "controller.bandwidth.rate_max": (b.rate_max, "rad/s²"),
             "simulation.max_step_size": (self.simulation.max_step_size, "s"),
+            "simulation.log_period": (self.simulation.log_period, "s"),
             "planner.time_budget": (self.planner.time_budget, "s"),
             "planner.time_limit": (self.planner.time_limit, "s"),
             "sensing.period": (self.sensing.period, "s"),

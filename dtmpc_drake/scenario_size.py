@@ -47,9 +47,9 @@ REPLANS = 100_000
 TRIAL_STEPS = 10**10
 """Steps of all flights together, which fly side by side: about half a day."""
 
-LOG_PERIOD, REPORT_PERIOD, SAMPLE_PERIOD, LOOK_PERIOD = 0.01, 0.05, 0.005, 0.04
-"""Of a flight's log, of what is kept of many flights, of a saved plan, and between
-two times at which a push may reverse, in s."""
+REPORT_PERIOD, SAMPLE_PERIOD, LOOK_PERIOD = 0.05, 0.005, 0.04
+"""Of what is kept of many flights at least, of a saved plan, and between two times at
+which a push may reverse, in s."""
 SIZES = "planner.intervals", "model.num_outputs", "model.order"
 KINDS = 5
 """Disturbances that many flights may go through."""
@@ -168,11 +168,19 @@ def _search(scenario: Scenario, steps: int) -> list[Part]:
 
 
 def flight(scenario: Scenario) -> list[Part]:
-    """The memory of one flight: its log, as it grows, and its plan's samples."""
+    """The memory of one flight: its log, and its plan's samples."""
     m = scenario.model.num_outputs
-    numbers = scenario.duration / LOG_PERIOD * 3 * _logged(scenario)
-    numbers += scenario.duration / SAMPLE_PERIOD * 9 * m
-    return [Part(numbers, ("duration", "model.num_outputs", "obstacles"))]
+    log = _samples(scenario) * _logged(scenario)
+    fields = "duration", "simulation.log_period", "model.num_outputs", "obstacles"
+    saved = scenario.duration / SAMPLE_PERIOD * 9 * m
+    return [Part(log, fields), Part(saved, ("duration", "model.num_outputs"))]
+
+
+def _samples(scenario: Scenario, least: float = 0.0) -> float:
+    """How many samples a flight has; `least` is their shortest period, in s."""
+    simulation = scenario.simulation
+    period = max(simulation.log_period, simulation.max_step_size, least)
+    return scenario.duration / period + 1
 
 
 def _logged(scenario: Scenario) -> int:
@@ -193,9 +201,7 @@ def require_affordable(scenario: Scenario) -> None:
     Raises:
         ScenarioError: naming the fields that make it so.
     """
-    duration, most = scenario.duration, EVENTS * LOG_PERIOD
-    why = f"at most {most:g} s: a flight is logged every {LOG_PERIOD:g} s"
-    require("duration", duration, duration <= most, why)
+    duration = scenario.duration
     for field, period, count in (
         ("simulation.max_step_size", scenario.simulation.max_step_size, EVENTS),
         ("disturbance.hold", getattr(scenario.disturbance, "hold", None), EVENTS),
@@ -244,11 +250,12 @@ def require_trials(scenario: Scenario, count: int, batch_size: int) -> None:
     """
     m, length = scenario.model.num_outputs, scenario.duration
     batch = min(count, batch_size)
-    # A batch draws all its noise before, and logs everything.
+    # A batch draws all its noise before.
     hold = getattr(scenario.disturbance, "hold", None) or length
     draws = length / min(hold, LOOK_PERIOD) * (m + 1)
-    one = 8 * (length / LOG_PERIOD * 3 * _logged(scenario) + draws)
-    kept = 8 * 3 * KINDS * length / REPORT_PERIOD * (m + 1)
+    report = _samples(scenario, REPORT_PERIOD) * (m + 1)
+    one = 8 * (3 * report + draws)
+    kept = 8 * 3 * KINDS * report
     steps = length / scenario.simulation.max_step_size
     long = f"in flights of {length:g} s (duration)"
     for field, value, most, why in (

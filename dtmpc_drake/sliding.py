@@ -6,6 +6,7 @@ along the last but one axis; slope, gain and layer have shape ``(..., m)``.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import comb
 
 import numpy as np
@@ -23,23 +24,46 @@ def surface_coefficients(slope: Array, order: int) -> Array:
         order: n.
 
     Returns:
-        Shape ``(..., n, m)``; the last row is one.
+        Shape ``(..., n, m)``; the last row is one.  Read-only if ``(n, m)``.
     """
+    if slope.ndim == 1 and slope.dtype != object:
+        return _kept_coefficients(tuple(slope.tolist()), order)
     return np.stack(
         [comb(order - 1, k) * slope ** (order - 1 - k) for k in range(order)], axis=-2
     )
 
 
+@lru_cache
+def _kept_coefficients(slope: tuple[float, ...], order: int) -> Array:
+    """A flight asks for the same ones at every stage of every step."""
+    (coefficients,) = surface_coefficients(np.array(slope)[None], order)
+    coefficients.flags.writeable = False
+    return np.asarray(coefficients)
+
+
+def _weighted_sum(weights: Array, rows: Array) -> Array:
+    """Σ_k w_k row_k, row by row: NumPy's own sum is slow along so short an axis.
+
+    Args:
+        weights: shape ``(..., n, m)``.
+        rows: shape ``(..., n, m)``.
+
+    Returns:
+        Shape ``(..., m)``; zero without rows.
+    """
+    terms = [weights[..., k, :] * rows[..., k, :] for k in range(rows.shape[-2])]
+    return np.asarray(sum(terms[1:], start=terms[0]) if terms else rows.sum(axis=-2))
+
+
 def sliding_variable(error: Array, slope: Array) -> Array:
     """S = (d/dt + λ)^(n-1) ỹ  (eq. s), shape ``(..., m)``."""
-    order = error.shape[-2]
-    return np.asarray((surface_coefficients(slope, order) * error).sum(axis=-2))
+    return _weighted_sum(surface_coefficients(slope, error.shape[-2]), error)
 
 
 def saturation(value: Array) -> Array:
     """sat: the identity on [-1, 1], constant outside; generic in the scalar."""
     if value.dtype != object:
-        return np.clip(value, -1.0, 1.0)
+        return np.minimum(np.maximum(value, -1.0), 1.0)  # np.clip is slower
     flat = [drake_max(drake_min(v, v * 0 + 1.0), v * 0 - 1.0) for v in value.flat]
     return np.array(flat, dtype=object).reshape(value.shape)
 
@@ -135,19 +159,21 @@ def control(
     error = state - reference[..., :order, :]
     coefficients = surface_coefficients(slope, order)
     # y_r^(n) = y*^(n) - Σ_{k=1}^{n-1} C(n-1, k-1) λ^(n-k) ỹ^(k)
-    damping = (coefficients[..., :-1, :] * error[..., 1:, :]).sum(axis=-2)
+    damping = _weighted_sum(coefficients[..., :-1, :], error[..., 1:, :])
     gain = switching_gain(
         model_error_bound=model.model_error_bound(state),
         disturbance_bound=disturbance_bound,
         reaching_rate=reaching_rate,
         boundary_layer_rate=boundary_layer_rate,
     )
-    s = sliding_variable(error, slope)
+    s = _weighted_sum(coefficients, error)
     demand = (
         reference[..., order, :]
         - model.drift(state)
         - damping
         - gain * saturation(s / boundary_layer)
     )
+    if model.input_is_identity:
+        return np.asarray(demand)
     inverse = model.inverse_input_matrix(state)
     return np.asarray(np.einsum("...ij,...j->...i", inverse, demand))

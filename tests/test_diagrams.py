@@ -188,6 +188,7 @@ def test_the_diagram_exports_its_ports_by_name(planned: Planned) -> None:
         "disturbance": 3,
         "tube_ratios": 9,
         "clearance": 2,
+        "quantities": 7,
         "record": 6 * 7,
     }
     for name, size in sizes.items():

@@ -29,8 +29,14 @@ from pydrake.systems.primitives import (
 from typer.testing import CliRunner
 
 from diagrams.__main__ import app
-from diagrams.closed_loop import Log, MakeClosedLoop, Simulate, SimulateTrials
-from diagrams.monte_carlo import OUTPUTS, Batch, fly, fly_all, reduce
+from diagrams.closed_loop import (
+    FlyTrials,
+    Log,
+    MakeClosedLoop,
+    Simulate,
+    SimulateTrials,
+)
+from diagrams.monte_carlo import OUTPUTS, Batch, fly, fly_all
 from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
 from dtmpc_drake.monte_carlo import (
     KINDS,
@@ -458,7 +464,7 @@ def test_a_violation_is_counted(flown: tuple[Scenario, Plan]) -> None:
     allowed = draw_trials(scenario, range(2))
     excess = dataclasses.replace(allowed[0], parameters={"drag": 20.0})
     trials = [*allowed, excess]
-    flights = reduce(SimulateTrials(scenario, plan=chosen, trials=trials), trials)
+    flights = FlyTrials(scenario, plan=chosen, trials=trials)
     assert flights.violations["layer"] == flights.violations["position"] == 1
     assert flights.outside == 1
     assert not flights.safe

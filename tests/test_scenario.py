@@ -126,6 +126,9 @@ def test_a_file_needs_little_more_than_where_to_go() -> None:
 def test_numbers_that_yaml_reads_as_text_or_as_whole_are_numbers() -> None:
     s = parse_scenario(with_section("simulation", "{max_step_size: 1e-3}"))
     assert s.simulation.max_step_size == 0.001
+    assert s.simulation.log_period == 0.01
+    s = parse_scenario(with_section("simulation", "{log_period: 2e-1}"))
+    assert s.simulation.log_period == 0.2
     assert type(parse_scenario(LEAST).duration) is float
     assert {type(v) for v in parse_scenario(LEAST).goal.position} == {float}
 
@@ -728,6 +731,20 @@ BAD = {
         "simulation.max_step_size",
         "0",
         "greater than 0 s",
+    ),
+    "no time between two samples": (
+        "simulation",
+        "{log_period: -0.1}",
+        "simulation.log_period",
+        "-0.1",
+        "greater than 0 s",
+    ),
+    "sampled now and then": (
+        "simulation",
+        "{log_period: often}",
+        "simulation.log_period",
+        "'often'",
+        "a number",
     ),
     "parameter of another plant": ("plant", "{mass: 1}", "plant.mass", "1", "drag"),
     "plant that the model excludes": (

@@ -20,12 +20,12 @@ from pydrake.systems.primitives import (
 from typer.testing import CliRunner
 
 from diagrams.__main__ import app
-from diagrams.closed_loop import Simulate, SimulateTrials
+from diagrams.closed_loop import FlyTrials, Simulate
 from diagrams.experiment import run
-from diagrams.monte_carlo import MonteCarlo, draw, reduce
+from diagrams.monte_carlo import MonteCarlo, draw
 from dtmpc_drake import verdict
 from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
-from dtmpc_drake.monte_carlo import Flights, draw_trials
+from dtmpc_drake.monte_carlo import Flights, Recorder, draw_trials
 from dtmpc_drake.planning import plan
 from dtmpc_drake.scenario import Cylinder, Limits, Planner, Scenario, Waypoint
 from dtmpc_drake.systems import TubeMonitor
@@ -243,16 +243,21 @@ def test_flights_that_are_not_finite_are_counted_drawn_and_not_safe(
     """One of four blows up; the figures show the others."""
     wild = dataclasses.replace(SHORT, model=Hidden(0.0))
     trials = draw_trials(wild, range(4))
-    log = SimulateTrials(wild, plan=short_plan, trials=trials)
-    good = reduce(log, trials)
+    good = FlyTrials(wild, plan=short_plan, trials=trials)
     assert good.safe
-    state, ratios, record = log.state.copy(), log.tube_ratios.copy(), log.record.copy()
+    record = good.record.copy()
+    recorder = Recorder(wild, trials)
     # As the monitor of a flight that blows up after 3 s has them.
-    state[300:, 1], ratios[300:, 1] = np.nan, np.nan
-    record[:, 1] = looks([KEPT, np.full(7, np.nan)])
-    bad = reduce(
-        dataclasses.replace(log, state=state, tube_ratios=ratios, record=record), trials
-    )
+    record[1] = looks([KEPT, np.full(7, np.nan)])
+    for row, time in enumerate(good.time):
+        position, seen = good.position[:, row].copy(), np.tile(KEPT, (4, 1))
+        seen[:, verdict.POSITION] = good.position_ratio[:, row]
+        if time >= 3:
+            position[1], seen[1] = np.nan, np.nan
+        recorder.look(time, seen)
+        recorder.sample(position)
+    bad = recorder.flights(record.swapaxes(0, 1))
+    assert np.isinf(bad.position_ratio[1, good.time >= 3]).all()
     assert not bad.safe
     assert bad.violations["not_finite"] == 1 and bad.outside == 1
     assert bad.hardest != 1
@@ -267,7 +272,7 @@ def test_flights_that_are_not_finite_are_counted_drawn_and_not_safe(
 
 def test_no_flights_are_not_safe_ones(short_plan):
     trials = draw_trials(SHORT, range(2))
-    flights = reduce(SimulateTrials(SHORT, plan=short_plan, trials=trials), trials)
+    flights = FlyTrials(SHORT, plan=short_plan, trials=trials)
     none = {
         f.name: getattr(flights, f.name)[:0]
         for f in dataclasses.fields(Flights)

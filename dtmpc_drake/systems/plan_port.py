@@ -22,9 +22,13 @@ def EvalPlan(port: Any, context: Any) -> Plan:
         TypeError: if the port holds something else: Drake cannot tell, since
             every Python object is a ``Value[object]``.
     """
-    if not port.HasValue(context):
-        raise RuntimeError(f"{port.GetFullDescription()} must be connected to a plan")
-    value = port.Eval(context)
+    try:
+        value = port.Eval(context)
+    except RuntimeError:
+        if port.HasValue(context):
+            raise
+        what = f"{port.GetFullDescription()} must be connected to a plan"
+        raise RuntimeError(what) from None
     if not isinstance(value, Plan):
         raise TypeError(
             f"{port.GetFullDescription()} must hold a Plan,"

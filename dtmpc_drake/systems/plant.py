@@ -15,6 +15,7 @@ from pydrake.systems.framework import (
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from dtmpc_drake.models import Array, Model
+from dtmpc_drake.systems.side_by_side import unflattened
 
 
 def _plant_of(T: Any) -> Any:
@@ -120,24 +121,31 @@ def _plant_of(T: Any) -> Any:
 
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
             """Each row's derivative is the next row, the last one's y^(n)."""
-            x = context.get_continuous_state_vector().CopyToVector()
-            x = x.reshape(self._shape)
-            B = self._model.input_matrix(x)
-            u = self._control.Eval(context).reshape(*self._lead, -1)
+            state = context.get_continuous_state_vector().CopyToVector()
+            x = self._unflattened(state, *self._shape[-2:])
+            u = self._unflattened(self._control.Eval(context), -1)
+            if not self._model.input_is_identity:
+                B = self._model.input_matrix(x)
+                u = np.einsum("...ij,...j->...i", B, u)
             highest = (
                 self._drift(context, x)
-                + np.einsum("...ij,...j->...i", B, u)
-                + self._disturbance.Eval(context).reshape(*self._lead, -1)
+                + u
+                + self._unflattened(self._disturbance.Eval(context), -1)
             )
-            rates = np.concatenate([x[..., 1:, :], highest[..., None, :]], axis=-2)
+            rates = np.empty(self._shape, dtype=x.dtype)
+            rates[..., :-1, :] = x[..., 1:, :]
+            rates[..., -1, :] = highest
             derivatives.get_mutable_vector().SetFromVector(rates.ravel())
 
         def _drift(self, context: Any, x: Array) -> Array:
             """F(x)."""
             if not self._model_error.HasValue(context):
                 return self._model.true_drift(x, self._parameters(context))
-            error = self._model_error.Eval(context).reshape(*self._lead, -1)
+            error = self._unflattened(self._model_error.Eval(context), -1)
             return np.asarray(self._model.drift(x) + error)
+
+        def _unflattened(self, values: Array, *shape: int) -> Array:
+            return unflattened(values, (*self._lead, *shape), trials=bool(self._lead))
 
         def _parameters(self, context: Any) -> dict[str, Any]:
             if not self._defaults:

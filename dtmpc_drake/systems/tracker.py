@@ -14,6 +14,7 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 from dtmpc_drake import sliding
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.systems.plan_port import DeclarePlanInputPort, EvalPlan
+from dtmpc_drake.systems.side_by_side import unflattened
 
 
 def _plain(time: Any) -> float:
@@ -77,7 +78,7 @@ def _tracker_of(T: Any) -> Any:
             self._state = self.DeclareVectorInputPort("state", size)
             self._plan = DeclarePlanInputPort(self)
             self.DeclareVectorOutputPort("control", size // n, self._calc_control)
-            self._reference = self.DeclareVectorOutputPort(
+            self.DeclareVectorOutputPort(
                 "reference",
                 (n + 1) * m,
                 self._calc_reference,
@@ -99,13 +100,13 @@ def _tracker_of(T: Any) -> Any:
             output.SetFromVector(np.array([T(v) for v in reference.ravel()]))
 
         def _calc_control(self, context: Any, output: Any) -> None:
-            n, m = self._shape[-2:]
-            plan = EvalPlan(self._plan, context)
-            layer, layer_rate = plan.layer(_plain(context.get_time()))
+            plan, time = EvalPlan(self._plan, context), _plain(context.get_time())
+            layer, layer_rate = plan.layer(time)
+            state = self._state.Eval(context)
             control = sliding.control(
                 model=self._model,
-                state=self._state.Eval(context).reshape(self._shape),
-                reference=self._reference.Eval(context).reshape(n + 1, m),
+                state=unflattened(state, self._shape, trials=self._trials is not None),
+                reference=plan.reference(time),
                 boundary_layer=layer,
                 boundary_layer_rate=layer_rate,
                 slope=self._slope,

@@ -18,6 +18,7 @@ from dtmpc_drake.plan import Plan
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.sliding import sliding_variable
 from dtmpc_drake.systems.plan_port import DeclarePlanInputPort, EvalPlan
+from dtmpc_drake.systems.side_by_side import unflattened
 
 _WIDENING = 1e-6
 """Added to every bound (in m or m/s), so that 0/0 at the start counts as 0."""
@@ -46,11 +47,16 @@ def tube_ratios(
     error = state - plan.reference(time)[..., :-1, :]
     bound = plan.error_bound(time)
     velocity = min(1, plan.order - 1)
-    used = [sliding_variable(error, slope), error[..., 0, :], error[..., velocity, :]]
-    allowed = [plan.boundary_layer(time), bound[..., 0, :], bound[..., velocity, :]]
-    return np.asarray(
-        np.abs(np.stack(used, axis=-2)) / (np.stack(allowed, axis=-2) + _WIDENING)
-    )
+    ratios = np.empty((*error.shape[:-2], 3, error.shape[-1]))
+    for k, (used, allowed) in enumerate(
+        (
+            (sliding_variable(error, slope), plan.boundary_layer(time)),
+            (error[..., 0, :], bound[..., 0, :]),
+            (error[..., velocity, :], bound[..., velocity, :]),
+        )
+    ):
+        ratios[..., k, :] = np.abs(used) / (allowed + _WIDENING)
+    return ratios
 
 
 def _last_axis_max(values: Array) -> Array:
@@ -71,15 +77,16 @@ class TubeMonitor(LeafSystem):
         output_ports:
         - tube_ratios
         - clearance
+        - quantities
         - record
 
     `tube_ratios` is the flattened ``(3, m)`` array |s|/Φ, |ỹ|/Ω, |dỹ/dt|/W (see
     the function of that name).  `clearance` has the distance of the plant's
     true position from the surface of each obstacle, in m and negative inside;
-    without obstacles it is one infinity.  `record` is the flattened ``(6, 7)``
-    record of `dtmpc_drake.verdict`: the worst so far of every quantity, and when
-    a limit was broken first.  With `trials`, `state`, `control` and all outputs
-    have one more axis in front.
+    without obstacles it is one infinity.  `quantities`, ``(7,)``, is what the
+    `QUANTITIES` of `dtmpc_drake.verdict` are now, and `record` its flattened ``(6, 7)``
+    record: the worst so far of each, and when a limit was broken first.  With
+    `trials`, `state`, `control` and all outputs have one more axis in front.
 
     The record is state, which every step of the simulator begins by updating,
     after a new plan has come into force.  Its output has the present instant in
@@ -120,6 +127,13 @@ class TubeMonitor(LeafSystem):
             self._calc_clearance,
             prerequisites_of_calc={self._state.ticket()},
         )
+        seen |= {self._control.ticket(), self.xd_ticket()}
+        self._quantities = self.DeclareVectorOutputPort(
+            "quantities",
+            count * len(verdict.QUANTITIES),
+            self._calc_quantities,
+            prerequisites_of_calc=seen,
+        )
         empty = verdict.empty_record((count,))
         self._record_state = self.DeclareDiscreteState(empty.ravel())
         if n == 1:  # where each plant was, and when
@@ -128,7 +142,7 @@ class TubeMonitor(LeafSystem):
             "record",
             empty.size,
             self._calc_record,
-            prerequisites_of_calc=seen | {self._control.ticket(), self.xd_ticket()},
+            prerequisites_of_calc=seen,
         )
         self.DeclarePerStepDiscreteUpdateEvent(self._update)
 
@@ -166,7 +180,7 @@ class TubeMonitor(LeafSystem):
         ratios = tube_ratios(
             plan=EvalPlan(self._plan, context),
             time=context.get_time(),
-            state=self._state.Eval(context).reshape(self._shape),
+            state=unflattened(self._state.Eval(context), self._shape, trials=True),
             slope=self._slope,
         )
         output.SetFromVector(ratios.ravel())
@@ -177,6 +191,20 @@ class TubeMonitor(LeafSystem):
         if not len(self._obstacles):
             clearance = np.full((len(position), 1), np.inf)
         output.SetFromVector(clearance.ravel())
+
+    def _calc_quantities(self, context: Any, output: Any) -> None:
+        ratios, depth, speed = self._by_place(context)
+        control = self._control.Eval(context)
+        control = unflattened(control, (len(ratios), -1), trials=True)
+        value = np.empty((len(ratios), len(verdict.QUANTITIES)))
+        value[:, _TUBES] = _last_axis_max(ratios)
+        value[:, verdict.OBSTACLES] = _last_axis_max(depth)
+        value[:, verdict.INPUT] = np.sqrt((control * control).sum(axis=-1))
+        value[:, verdict.SPEED] = _last_axis_max(speed)
+        # |s| has every part of the state in it.
+        all_of_it = value[:, verdict.LAYER] + value[:, verdict.INPUT]
+        value[:, verdict.FINITE] = ~np.isfinite(all_of_it)
+        output.SetFromVector(value.ravel())
 
     def _calc_record(self, context: Any, output: Any) -> None:
         output.SetFromVector(self._look(context)[1].ravel())
@@ -195,22 +223,11 @@ class TubeMonitor(LeafSystem):
 
     def _look(self, context: Any) -> tuple[Array, Array]:
         """The record before the present instant and with it, ``(6, count, 7)``."""
-        count, _, m = self._shape
-        state = self._state.Eval(context).reshape(self._shape)
-        control = self._control.Eval(context).reshape(count, m)
-        ratios = self._tube_ratios.Eval(context).reshape(count, 3, m)
-        depth = -self._clearance.Eval(context).reshape(count, -1)
-        speed = self._speed(context, state)
-        value = np.empty((count, len(verdict.QUANTITIES)))
-        value[:, _TUBES] = _last_axis_max(ratios)
-        value[:, verdict.OBSTACLES] = _last_axis_max(depth)
-        value[:, verdict.INPUT] = np.sqrt((control * control).sum(axis=-1))
-        value[:, verdict.SPEED] = _last_axis_max(speed)
-        # |s| has every part of the state in it.
-        all_of_it = value[:, verdict.LAYER] + value[:, verdict.INPUT]
-        value[:, verdict.FINITE] = ~np.isfinite(all_of_it)
+        value = self._quantities.Eval(context)
+        value = value.reshape(self._shape[0], len(verdict.QUANTITIES))
 
         def where() -> Array:
+            ratios, depth, speed = self._by_place(context)
             place = np.zeros(value.shape)
             place[:, _TUBES] = ratios.argmax(axis=-1)
             place[:, verdict.OBSTACLES] = depth.argmax(axis=-1)
@@ -227,6 +244,14 @@ class TubeMonitor(LeafSystem):
             largest=self._largest,
         )
         return before, after
+
+    def _by_place(self, context: Any) -> tuple[Array, Array, Array]:
+        """Tube ratios, depths in obstacles and speeds, each with its places last."""
+        count, _, m = self._shape
+        state = self._state.Eval(context).reshape(self._shape)
+        ratios = self._tube_ratios.Eval(context).reshape(count, 3, m)
+        depth = -self._clearance.Eval(context).reshape(count, -1)
+        return ratios, depth, self._speed(context, state)
 
     def _speed(self, context: Any, state: Array) -> Array:
         """|dy/dt|, ``(count, m)``; minus infinity where it cannot be known yet."""

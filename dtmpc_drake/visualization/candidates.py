@@ -23,6 +23,7 @@ from dtmpc_drake.visualization.style import (
     LIGHT_GREY,
     PALE_BLUE,
     Coloring,
+    drawn_period,
 )
 
 _WIDTH = 10.0  # of the figure, in inches
@@ -88,7 +89,7 @@ def plot_candidates(
     """
     if plan.num_outputs < 2:
         raise ValueError("plan: one output only, so there are no sides to draw")
-    samples = plan.sample()
+    samples = plan.sample(drawn_period(plan, 0.005))
     coloring = Coloring.along(plan, samples["time"], "bandwidth")
     view = View.from_above(scenario, samples, coloring)
     good = sorted((c for c in candidates if _keeps(c)), key=_cost)

@@ -42,6 +42,7 @@ from dtmpc_drake.visualization.style import (
     Coloring,
     axis_name,
     cloud_colors,
+    drawn_period,
     unit_of,
 )
 
@@ -266,7 +267,7 @@ class View:
 def _plot_from_above(
     scenario: Scenario, plan: Plan, clouds: list[Cloud], color_by: ColorBy
 ) -> Figure:
-    samples = plan.sample(_PERIOD)
+    samples = plan.sample(drawn_period(plan, _PERIOD))
     position, tube = samples["position"], samples["position_tube"]
     obstacles = scenario.obstacle_set()
     coloring = Coloring.along(plan, samples["time"], color_by)
@@ -342,7 +343,7 @@ def plot_plans(
     """
     views = []
     for panel in panels:
-        samples = panel.plan.sample(_PERIOD)
+        samples = panel.plan.sample(drawn_period(panel.plan, _PERIOD))
         coloring = Coloring.along(
             panel.plan, samples["time"], "bandwidth", among=[p.plan for p in panels]
         )
@@ -429,7 +430,7 @@ def _plot_over_time(
     time: FloatArray | None,
     color_by: ColorBy,
 ) -> Figure:
-    samples = plan.sample(_PERIOD)
+    samples = plan.sample(drawn_period(plan, _PERIOD))
     now, center = samples["time"], samples["position"][:, 0]
     half = samples["position_tube"][:, 0]
     coloring = Coloring.along(plan, now, color_by)
@@ -545,7 +546,7 @@ def plot_histories(
         raise ValueError("time: missing, but state or control is given")
     n, m = plan.order, plan.num_outputs
     model, slope = scenario.planning_model(), scenario.slope()
-    now = plan.sample_times(_PERIOD)
+    now = plan.sample_times(drawn_period(plan, _PERIOD))
     reference, bound = plan.reference(now), plan.error_bound(now)
     layer, layer_rate = plan.layer(now)
     gain = switching_gain(

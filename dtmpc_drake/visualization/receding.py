@@ -29,6 +29,7 @@ from dtmpc_drake.visualization.style import (
     VERMILION,
     ColorBy,
     Coloring,
+    drawn_period,
 )
 
 _PERIOD = 0.025  # between two samples of a drawn plan, in s
@@ -141,7 +142,7 @@ def _look(
     scenario: Scenario, plan: Plan, plans: Sequence[Plan], color_by: ColorBy
 ) -> View:
     """A plan from above, in colours that all plans share."""
-    samples = plan.sample(_PERIOD)
+    samples = plan.sample(drawn_period(plan, _PERIOD))
     coloring = Coloring.along(plan, samples["time"], color_by, among=plans)
     return View.from_above(scenario, samples, coloring)
 

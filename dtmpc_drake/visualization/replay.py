@@ -11,6 +11,7 @@ from __future__ import annotations
 import html
 import itertools
 import json
+import math
 from collections.abc import Container, Iterable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -51,6 +52,7 @@ from dtmpc_drake.visualization.style import (
     ColorBy,
     Coloring,
     cloud_colors,
+    drawn_period,
 )
 
 GHOST = "#7FA8C9"
@@ -187,7 +189,7 @@ def field_corners(scenario: Scenario, plan: Plan) -> tuple[FloatArray, FloatArra
     flies between them.  A vehicle in the plane gets a little of both.
     """
     E = embedding(plan.num_outputs)
-    samples = plan.sample(_TUBE_PERIOD)
+    samples = plan.sample(drawn_period(plan, _TUBE_PERIOD))
     center, half = samples["position"] @ E.T, samples["position_tube"] @ E.T
     low, high = (center - half).min(axis=0), (center + half).max(axis=0)
     reach = max(2.0, 0.1 * float((high - low).max()))
@@ -320,7 +322,7 @@ def add_tube(
         among: plans that share their colours.
         capped: whether the tube's ends are closed.
     """
-    time = plan.sample_times(_TUBE_PERIOD)
+    time = plan.sample_times(drawn_period(plan, _TUBE_PERIOD))
     reference = plan.reference(time) @ embedding(plan.num_outputs).T
     half_axes = plan.position_tube(time) @ embedding(plan.num_outputs).T
     half_axes = half_axes + _FLAT * missing_axes(plan.num_outputs)
@@ -458,7 +460,7 @@ def add_vehicle(
 
 def _radius(scenario: Scenario, plan: Plan) -> float:
     """So that the picture of the vehicle fits through the narrowest place."""
-    position = plan.reference(plan.sample_times(_TUBE_PERIOD))[:, 0]
+    position = plan.reference(plan.sample_times(drawn_period(plan, _TUBE_PERIOD)))[:, 0]
     distance = scenario.obstacle_set().clearance(position)
     return float(np.clip(0.85 * np.min(distance, initial=np.inf), 0.1, 0.25))
 
@@ -567,7 +569,10 @@ def add_flight(
     """
     E = embedding(plan.num_outputs)
     end = float(time[-1] - time[0])
-    frames = np.append(np.arange(0.0, end, 1 / _FRAME_RATE), [end, end + _PAUSE])
+    # Every frame, but of a long flight only some: the viewer interpolates.
+    every = math.ceil(drawn_period(plan, 1 / _FRAME_RATE) * _FRAME_RATE)
+    frames = np.arange(0.0, end, every / _FRAME_RATE)
+    frames = np.append(frames, [end, end + _PAUSE])
     now = np.minimum(time[0] + frames, time[-1])
     flown = _interpolate(now, time, position) @ E.T
     reference = plan.reference(now) @ E.T
@@ -605,7 +610,8 @@ def add_flight(
         if k % 3 == 0 or k == len(frames) - 1:
             for path, flight in balls.items():
                 meshcat.SetTransform(path, RigidTransform(flight[k]), t)
-    pieces = np.append(np.arange(time[0], time[-1], _TRAIL_PERIOD), time[-1])
+    trail = drawn_period(plan, _TRAIL_PERIOD)
+    pieces = np.append(np.arange(time[0], time[-1], trail), time[-1])
     for i, (begin, stop) in enumerate(itertools.pairwise(pieces)):
         points = _interpolate(np.linspace(begin, stop, 6), time, position) @ E.T
         path = f"{ROOT}/trail/{i}"

@@ -33,6 +33,16 @@ _CLOUDS = (SKY_BLUE, PURPLE, ORANGE, GREEN, BLUE)
 # Both are perceptually uniform: dark blue to yellow, and dark to peach.
 _RANGES = {"bandwidth": ("viridis", 0.12, 1.0), "speed": ("magma", 0.08, 0.86)}
 
+_MOST_SAMPLES = 4000  # of a drawn plan: more than any picture shows
+
+
+def drawn_period(plan: Plan, period: float) -> float:
+    """The period to draw a plan with, in s: a longer one where the plan is long.
+
+    Else the time and the size of a picture would grow with a flight without end.
+    """
+    return max(period, (plan.end_time - plan.start_time) / _MOST_SAMPLES)
+
 
 @dataclasses.dataclass(frozen=True)
 class Coloring:
