@@ -36,15 +36,26 @@ def integrate_layer(
     Returns:
         Both ``(M + 1, m)``.
     """
-    alpha, force = _parabolas(step * bandwidth), _parabolas(step * forcing)
-    point, weight = _gauss(float(step * np.abs(bandwidth).max(initial=0.0)))
-    u = ((1 + point) / 2)[:, None, None]
-    rest = alpha[0] * (1 - u) + alpha[1] * (1 - u**2) / 2 + alpha[2] * (1 - u**3) / 3
-    pushed = np.exp(-rest) * (force[0] + u * (force[1] + u * force[2]))
-    gained = np.einsum("g,gkm->km", weight / 2, pushed)
-    whole = np.exp(-(alpha[0] + alpha[1] / 2 + alpha[2] / 3))
-    layer = linear_recurrence(whole, gained, np.asarray(initial))
+    alpha, force = _by_step(step * bandwidth), _by_step(step * forcing)
+    point, weight = _gauss(float(np.abs(step * bandwidth).max(initial=0.0)))
+    u = ((1 + point) / 2)[:, None]
+    # From values at start, middle and end to the powers of a parabola.
+    powers = np.array([[1, 0, 0], [-3, 4, -1], [2, -4, 2]])
+    value = u ** np.arange(3) @ powers
+    ahead = (1 - u ** np.arange(1, 4)) / np.arange(1, 4) @ powers
+    pushed = np.exp(-(ahead @ alpha)) * (value @ force)
+    gained = weight / 2 @ pushed
+    whole = np.exp(-(np.array([1, 4, 1]) / 6 @ alpha))
+    shape = (-1, *bandwidth.shape[1:])
+    layer = linear_recurrence(
+        whole.reshape(shape), gained.reshape(shape), np.asarray(initial)
+    )
     return layer, forcing[::2] - bandwidth[::2] * layer
+
+
+def _by_step(values: Array) -> Array:
+    """At start, middle and end of every step, one row each, ``(3, M m)``."""
+    return np.stack([values[:-2:2], values[1::2], values[2::2]]).reshape(3, -1)
 
 
 def layer_pieces(

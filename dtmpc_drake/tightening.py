@@ -86,8 +86,6 @@ def input_bound(
     Returns:
         Shape ``(...)``, in the unit of the input.
     """
-    inverse = model.inverse_input_matrix(reference)
-    deviation = model.inverse_input_deviation(reference, error_bound + reference_radius)
     feedback = feedback_bound(
         model=model,
         reference=reference,
@@ -97,6 +95,10 @@ def input_bound(
         reference_radius=reference_radius,
         gain_radius=gain_radius,
     )
+    if model.input_is_identity:
+        return euclidean_norm(highest) + euclidean_norm(feedback)
+    inverse = model.inverse_input_matrix(reference)
+    deviation = model.inverse_input_deviation(reference, error_bound + reference_radius)
     nominal = (inverse * highest[..., None, :]).sum(axis=-1)
     worst = (
         deviation * magnitude(highest)[..., None, :]

@@ -41,7 +41,7 @@ TOLERANCE = 0.025
 COARSEST = 12
 """Grids are halved for a first solution, down to no less than this."""
 NEAREST = 0.3
-"""Reach of the programs near a solution; on coarser grids it is larger, see `Shape`."""
+"""Reach near a solution; from a cold start it is larger, see `Transcription`."""
 COARSE_ITERATIONS = 2
 """On each of the coarser grids: they only have to find the way."""
 
@@ -281,7 +281,8 @@ def _sequential_convex(
     decisions: tuple[Array, Array] | None = None
     multipliers: Multipliers | None = None
     for level, intervals in enumerate(grids):
-        transcription = Transcription(problem, intervals)
+        reach = NEAREST if warm_start is not None else max(NEAREST, 0.5**level)
+        transcription = Transcription(problem, intervals, reach=reach)
         if decisions is None:
             decisions = _first_decisions(transcription, warm_start)
         last = intervals == grids[-1]
@@ -292,7 +293,6 @@ def _sequential_convex(
                 tolerance=TOLERANCE,
                 max_iterations=settings.max_iterations if last else COARSE_ITERATIONS,
                 coarse=not last,
-                reach=NEAREST if warm_start is not None else max(NEAREST, 0.5**level),
                 # Rather than insist, look for another way.
                 max_penalty=10 * PENALTY if free else MAX_PENALTY,
             ),

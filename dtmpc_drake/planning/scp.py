@@ -80,8 +80,6 @@ class Shape:
         penalty: weight of the slack.
         proximity: weight of the square of the step (a soft trust region).
         secant: half-width of the differences along the state, in its units.
-        reach: part of the reaches within which limits enter at all.  A limit that
-            turns out to be missed enters the next program.
         rigid: whether there is no slack.  Without it a program takes a third fewer
             iterations, but it may be infeasible.
     """
@@ -89,7 +87,6 @@ class Shape:
     penalty: float = PENALTY
     proximity: float = 0.0
     secant: float = SECANT
-    reach: float = 1.0
     rigid: bool = False
 
 
@@ -165,14 +162,12 @@ class Program:
             alpha = self.variables.alpha_columns.reshape(-1, 1)
             equations.equate(np.ones(alpha.shape), alpha, 0.0)
         else:
-            self._add_bandwidth(rows, iterate, shape.reach)
+            self._add_bandwidth(rows, iterate)
         before = rows.count
-        self._planes = iterate.planes.nearer_than(REACH * shape.reach)
-        margins = self._add_hard(rows, iterate, shape)
+        self._planes = iterate.planes.nearer_than(REACH * tr.reach)
+        self._add_hard(rows, iterate, shape.secant)
         self._hard = slice(before, rows.count)
         self._add_tube(rows, equations, iterate, shape.secant)
-        self._hard_margins = margins
-        self._hard_margin = margins(iterate, self._planes)
         slack = np.ones((1, 1)), np.array([[self.variables.size - 1]])
         self._rigid = shape.rigid
         if shape.rigid:
@@ -255,7 +250,7 @@ class Program:
                 values[:, -1] = 1.0
                 rows.add(values, columns, 0.0)
 
-    def _add_bandwidth(self, rows: Rows, iterate: Iterate, reach: float) -> None:
+    def _add_bandwidth(self, rows: Rows, iterate: Iterate) -> None:
         """Bounds of α and of its rate."""
         tr, v, alpha = self.transcription, self.variables, iterate.bandwidth
         columns = v.alpha_columns.reshape(-1, 1)
@@ -264,7 +259,7 @@ class Program:
         # Where α, or its rate, is far from its limit the projection will do.
         span = tr.bandwidth_high - tr.bandwidth_low
         high = np.where(high > span / 2, np.inf, high).ravel()
-        low = np.where(low < -BANDWIDTH_REACH * reach * span, -np.inf, low).ravel()
+        low = np.where(low < -BANDWIDTH_REACH * tr.reach * span, -np.inf, low).ravel()
         near = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
         rows.add(ones[near], columns[near], low[near], high[near])
         change, limit = np.diff(alpha, axis=0).ravel(), tr.bandwidth_change
@@ -273,41 +268,21 @@ class Program:
         values = np.broadcast_to([-1.0, 1.0], pairs.shape)
         rows.add(values, pairs, -limit - change[fast], limit - change[fast])
 
-    def _add_hard(
-        self, rows: Rows, iterate: Iterate, shape: Shape
-    ) -> Callable[[Iterate, Halfplanes], Array]:
-        """Input, speed and obstacles, each relaxed by the shared slack.
-
-        Returns:
-            The margins of the same rows at another iterate, and with the same
-            half-planes or turned ones.
-        """
+    def _add_hard(self, rows: Rows, iterate: Iterate, secant: float) -> None:
+        """Input, speed and obstacles, each relaxed by the shared slack."""
         tr, v = self.transcription, self.variables
-        input_nodes = self._nodes_near_the_input_limit(iterate, shape.reach)
-        close = iterate.speed_margin < SPEED_REACH * shape.reach
+        self._input_nodes = self._nodes_near_the_input_limit(iterate)
+        close = iterate.speed_margin < SPEED_REACH * tr.reach
         close[1:, 0] = False  # the last control point of the piece before
-        speeds = np.nonzero(close)
-        self._input_nodes = input_nodes
-
-        def margins(at: Iterate, planes: Halfplanes) -> Array:
-            same = tr.margins(at, planes)
-            return np.concatenate(
-                [
-                    at.input_margin[input_nodes] / INPUT_SCALE,
-                    at.error_margin[:: tr.tube_steps].ravel(),
-                    at.speed_margin[speeds],
-                    same.margin.ravel(),
-                ]
-            )
-
-        rate, trusted = self._by_knot(iterate, shape.secant)
+        self._speeds = np.nonzero(close)
+        rate, trusted = self._by_knot(iterate, secant)
         blocks = [
-            self._input_rows(iterate, input_nodes, shape.secant),
+            self._input_rows(iterate, self._input_nodes, secant),
             trusted,
-            self._speed_rows(speeds, rate),
+            self._speed_rows(self._speeds, rate),
             self._halfplane_rows(self._planes),
         ]
-        here = margins(iterate, self._planes)
+        here = self._hard_margin = self._hard_margins(iterate, self._planes.margin)
         for values, columns in blocks:
             slack = np.full((len(values), 1), v.size - 1)
             rows.add(
@@ -316,18 +291,28 @@ class Program:
                 BACKOFF - here[: len(values)],
             )
             here = here[len(values) :]
-        return margins
 
-    def _nodes_near_the_input_limit(self, iterate: Iterate, reach: float) -> Array:
+    def _hard_margins(self, at: Iterate, of_planes: Array) -> Array:
+        """Margins of the relaxed rows at an iterate, but those of half-planes given."""
+        return np.concatenate(
+            [
+                at.input_margin[self._input_nodes] / INPUT_SCALE,
+                at.error_margin[:: self.transcription.tube_steps].ravel(),
+                at.speed_margin[self._speeds],
+                of_planes.ravel(),
+            ]
+        )
+
+    def _nodes_near_the_input_limit(self, iterate: Iterate) -> Array:
         """Knots, some fixed nodes between them, and where the input peaks."""
         tr = self.transcription
         inner = tr.pieces(iterate.input_margin)[:, 1:-1]
         chosen = np.zeros(inner.shape, dtype=bool)
         chosen[:, tr.tube_steps // BETWEEN - 1 :: tr.tube_steps // BETWEEN] = True
         chosen[np.arange(len(inner)), inner.argmin(axis=1)] = True
-        piece, node = np.nonzero(chosen & (inner < BETWEEN_REACH * reach))
+        piece, node = np.nonzero(chosen & (inner < BETWEEN_REACH * tr.reach))
         at_knots = iterate.input_margin[:: tr.tube_steps]
-        knots = np.flatnonzero(at_knots < INPUT_REACH * reach)
+        knots = np.flatnonzero(at_knots < INPUT_REACH * tr.reach)
         both = [knots * tr.tube_steps, piece * tr.tube_steps + node + 1]
         return np.concatenate(both)
 
@@ -555,7 +540,8 @@ class Program:
     def margins_after(self, z: Array, reached: Iterate) -> tuple[Array, Array]:
         """Margins of the relaxed rows as promised for a step, and as reached."""
         promised = self._hard_margin + (self._rows.matrix @ z)[self._hard] - z[-1]
-        return promised, self._hard_margins(reached, self._turned(z))
+        turned = self.transcription.margins(reached, self._turned(z))
+        return promised, self._hard_margins(reached, turned.margin)
 
     def correct(self, z: Array, reached: Iterate) -> None:
         """Shifts the relaxed rows to what a step really led to (second order)."""
@@ -763,14 +749,12 @@ class Effort:
         max_penalty: largest weight of the slack that is tried.
         coarse: solve the programs less accurately, and do without the
             second-order correction of steps that fail.
-        reach: of the programs, see `Shape`.
     """
 
     tolerance: float
     max_iterations: int
     max_penalty: float = MAX_PENALTY
     coarse: bool = False
-    reach: float = 1.0
 
 
 def iterate_to_convergence(
@@ -828,7 +812,7 @@ def _iterate(
     worst = violation(current)
     merits: list[float] = []
     stuck = failures = 0
-    shape = Shape(reach=effort.reach, rigid=worst < RIGID)
+    shape = Shape(rigid=worst < RIGID)
     for _ in range(effort.max_iterations):
         if deadline.passed:
             return Result(current, False, worst, out_of_time=True)

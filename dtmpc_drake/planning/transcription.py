@@ -13,10 +13,11 @@ be right to first order around it; no discretisation error is left in a plan.
 from __future__ import annotations
 
 import dataclasses
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import ClassVar, Protocol
 
 import numpy as np
+import scipy.sparse as sp
 import scipy.sparse.linalg
 
 from dtmpc_drake.layer import layer_pieces
@@ -163,10 +164,18 @@ class Iterate:
 
 
 class Transcription:
-    """One problem on one uniform grid of knots."""
+    """One problem on one uniform grid of knots.
 
-    def __init__(self, problem: Problem, intervals: int) -> None:
-        self.problem = problem
+    Args:
+        problem: to plan.
+        intervals: N.
+        reach: part of the usual reaches within which limits enter the programs, and
+            obstacles enter at all.  A limit that turns out to be missed enters the
+            next program.
+    """
+
+    def __init__(self, problem: Problem, intervals: int, *, reach: float = 1.0) -> None:
+        self.problem, self.reach = problem, reach
         model = problem.model
         self.order, self.outputs = model.order, model.num_outputs
         self.intervals = intervals
@@ -282,32 +291,22 @@ class Transcription:
         start = [*p.start] + ([] if p.start_highest is None else [p.start_highest])
         conditions = np.concatenate(
             [
-                self._end_conditions(0)[: len(start)],
-                self._end_conditions(self.intervals)[goal],
+                _end_conditions(self.intervals, self.degree, 0, self.step)[
+                    : len(start)
+                ],
+                _end_conditions(self.intervals, self.degree, self.intervals, self.step)[
+                    goal
+                ],
             ]
         )
         wanted = np.concatenate([start, p.goal[goal]])
         part = min(int(BLEND * self.intervals) + 2 * self.order, count // 2)
         free = np.r_[:part, count - part : count]
-        highest = splines.knot_operator(
-            self.intervals, self.degree, self.order, 1.0
-        ).toarray()[:, free]
-        changed = conditions[:, free]
-        size, rows = len(free), len(changed)
-        system = np.zeros((size + rows, size + rows))
-        system[:size, :size] = highest.T @ highest
-        system[:size, size:] = changed.T
-        system[size:, :size] = changed
-        right = np.concatenate([np.zeros((size, rows)), np.eye(rows)])
-        return conditions, wanted, free, np.linalg.solve(system, right)[:size]
-
-    def _end_conditions(self, knot: int) -> Array:
-        """Every derivative up to the n-th at the first or last knot."""
-        rows = np.zeros((self.order + 1, self.intervals + self.degree))
-        for k in range(self.order + 1):
-            start = splines.basis(self.degree, k, np.zeros(1), self.step)[0]
-            rows[k, knot : knot + self.degree] = start[: self.degree]
-        return rows
+        # In units of the step, so that problems on as many intervals share them.
+        rows = tuple(range(len(start))), tuple(goal)
+        answers = _end_answers(self.intervals, self.degree, part, rows)
+        scale = self.step ** np.concatenate([*map(np.array, rows)])
+        return conditions, wanted, free, answers * scale
 
     def feasible_bandwidth(self, bandwidth: Array) -> Array:
         """The smallest α above the given one that obeys bounds and rate limit.
@@ -478,6 +477,8 @@ class Transcription:
         """u* = B⁻¹ (y*^(n) - F̂(x*)), ``(..., m)``."""
         model = self.problem.model
         demand = local.highest - model.drift(local.state)
+        if model.input_is_identity:
+            return np.asarray(demand)
         inverse = model.inverse_input_matrix(local.state)
         return np.asarray((inverse * demand[..., None, :]).sum(axis=-1))
 
@@ -563,7 +564,7 @@ class Transcription:
         bound = np.linalg.norm(middle[:, :, 0], axis=-1) - spread - obstacles.radius
         radii = obstacles.tube_radii(tube.max(axis=1))
         bound = bound - np.linalg.norm(radii, axis=-1)
-        piece, obstacle = np.nonzero(bound < REACH)
+        piece, obstacle = np.nonzero(bound < self.reach * REACH)
         hull, H = offsets[piece, obstacle], obstacles.shape[obstacle]
         boxes = np.einsum("pij,pcj->pci", np.abs(H), tube[piece])
         normal = separating_normals(hull, np.linalg.norm(boxes, axis=-1))
@@ -683,3 +684,44 @@ def separating_normals(hull: Array, size: Array) -> Array:
     margins = candidates @ hull.swapaxes(1, 2) - size[:, None]
     best = margins.min(axis=2).argmax(axis=1)
     return np.asarray(candidates[np.arange(len(hull)), best])
+
+
+def _end_conditions(intervals: int, degree: int, knot: int, step: float) -> Array:
+    """Every derivative up to the n-th at the first or last knot."""
+    rows = np.zeros((degree, intervals + degree))
+    for k in range(degree):
+        start = splines.basis(degree, k, np.zeros(1), step)[0]
+        rows[k, knot : knot + degree] = start[:degree]
+    return rows
+
+
+@lru_cache
+def _end_answers(
+    intervals: int, degree: int, part: int, rows: tuple[tuple[int, ...], ...]
+) -> Array:
+    """How the outer coefficients answer to conditions at both ends, in unit steps.
+
+    So that y*^(n) changes least.
+
+    Args:
+        intervals: of the grid.
+        degree: of the spline.
+        part: so many coefficients may change at each end.
+        rows: the derivatives that are prescribed at the start and at the end.
+
+    Returns:
+        ``(2 part, conditions)``.
+    """
+    count = intervals + degree
+    free = np.r_[:part, count - part : count]
+    changed = np.concatenate(
+        [
+            _end_conditions(intervals, degree, knot, 1.0)[list(some)]
+            for knot, some in zip((0, intervals), rows, strict=True)
+        ]
+    )[:, free]
+    highest = splines.knot_operator(intervals, degree, degree - 1, 1.0)[:, free]
+    few = sp.csr_array(changed)
+    system = sp.block_array([[highest.T @ highest, few.T], [few, None]]).tocsc()
+    wanted = np.eye(len(free) + len(changed))[:, len(free) :]
+    return np.asarray(scipy.sparse.linalg.splu(system).solve(wanted)[: len(free)])
