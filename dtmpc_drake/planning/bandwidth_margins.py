@@ -97,13 +97,13 @@ def _needed_model_error(
     problem: Problem, layer: Polynomial, bandwidth: Polynomial
 ) -> Polynomial:
     """E = dΦ/dt + bΦ - D - η, which is Δ(x*) where α = b, linear in time."""
-    derivatives = layer.derivatives
-    count = derivatives.shape[1]
-    rows = np.zeros((len(derivatives), count + 1, derivatives.shape[2]))
-    rows[:, : count - 1] = derivatives[:, 1:]
-    rows[:, 0] -= problem.disturbance_bound + problem.reaching_rate
-    value, slope = bandwidth.derivatives[:, :1], bandwidth.derivatives[:, 1:]
-    rows[:, :count] += value * derivatives
+    rows = layer.derivatives.swapaxes(0, 1)
+    count = len(rows)
+    needed = np.zeros((count + 1, *rows.shape[1:]))
+    needed[: count - 1] = rows[1:]
+    needed[0] -= problem.disturbance_bound + problem.reaching_rate
+    value, slope = bandwidth.derivatives.swapaxes(0, 1)
+    needed[:count] += value * rows
     # Leibniz: (bΦ)^(k) = b Φ^(k) + k b' Φ^(k-1).
-    rows[:, 1:] += np.arange(1, count + 1)[:, None] * slope * derivatives
-    return Polynomial(rows, layer.half)
+    needed[1:] += np.arange(1, count + 1)[:, None, None] * slope * rows
+    return Polynomial(needed.swapaxes(0, 1), layer.half)

@@ -35,7 +35,8 @@ class Polynomial:
     """A polynomial on each of K intervals, by its derivatives at their middles.
 
     Attributes:
-        derivatives: value and all derivatives, ``(K, degree + 1, m)``.
+        derivatives: value and all derivatives, ``(K, degree + 1, m)``, fastest if
+            in memory each lies by itself (as `np.swapaxes` leaves them).
         half: of the length of an interval, in s.
     """
 
@@ -61,18 +62,22 @@ class Polynomial:
             for p in range(k, powers):
                 scale = factorial(p) / factorial(p - k)
                 basis[:, k, p] = scale * middle ** (p - k)
-        values = basis.reshape(-1, powers) @ coefficients
-        return cls(values.reshape(-1, powers, m), step / parts / 2)
+        # One product for all: (derivative and part, power) by (power, piece and axis).
+        by_power = coefficients.swapaxes(0, 1).reshape(powers, -1)
+        values = basis.swapaxes(0, 1).reshape(-1, powers) @ by_power
+        values = values.reshape(powers, parts, -1, m).swapaxes(1, 2)
+        rows = values.reshape(powers, -1, m)
+        return cls(rows.swapaxes(0, 1), step / parts / 2)
 
     def radius(self, order: int) -> Array:
         """How far a derivative leaves its value at the middle, ``(K, m)``."""
-        return np.asarray(self._radii[:, order])
+        return np.asarray(self._radii[order])
 
     @cached_property
     def _radii(self) -> Array:
-        count = self.derivatives.shape[1]
-        rest = _taylor(count, self.half) - np.eye(count)
-        return np.asarray(rest @ np.abs(self.derivatives))
+        rows = np.abs(self.derivatives.swapaxes(0, 1))
+        rest = _taylor(len(rows), self.half) - np.eye(len(rows))
+        return (rest @ rows.reshape(len(rows), -1)).reshape(rows.shape)
 
     def largest(self, order: int) -> Array:
         """A bound of a derivative's magnitude all along, ``(K, m)``."""
@@ -80,14 +85,15 @@ class Polynomial:
 
     def at_ends(self, order: int = 0) -> Array:
         """A continuous derivative where intervals meet, ``(K + 1, m)``."""
-        return np.asarray(self._ends[:, order])
+        return np.asarray(self._ends[order])
 
     @cached_property
     def _ends(self) -> Array:
-        count = self.derivatives.shape[1]
-        starts = _taylor(count, -self.half) @ self.derivatives
-        last = _taylor(count, self.half) @ self.derivatives[-1]
-        return np.concatenate([starts, last[None]])
+        rows = self.derivatives.swapaxes(0, 1)
+        count, K, m = rows.shape
+        starts = _taylor(count, -self.half) @ rows.reshape(count, -1)
+        last = _taylor(count, self.half) @ rows[:, -1]
+        return np.concatenate([starts.reshape(count, K, m), last[:, None]], axis=1)
 
 
 def _taylor(count: int, offset: float) -> Array:

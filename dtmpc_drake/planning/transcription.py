@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cached_property, lru_cache
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -254,12 +254,8 @@ class Transcription:
 
     def _nearest(self, wanted: Array) -> Array:
         """The spline nearest to values at all knots and midpoints, with its ends."""
-        operator = splines.midpoint_operator(self.intervals, self.degree)
-        coefficients = scipy.sparse.linalg.spsolve(
-            (operator.T @ operator).tocsc(), operator.T @ wanted
-        )
-        shape = (self.intervals + self.degree, self.outputs)
-        return self.with_ends(np.asarray(coefficients).reshape(shape))
+        operator, normal = _least_squares(self.intervals, self.degree)
+        return self.with_ends(normal.solve(operator.T @ wanted))
 
     def with_ends(self, coefficients: Array) -> Array:
         """The nearest spline that meets both end states.
@@ -693,6 +689,13 @@ def _end_conditions(intervals: int, degree: int, knot: int, step: float) -> Arra
         start = splines.basis(degree, k, np.zeros(1), step)[0]
         rows[k, knot : knot + degree] = start[:degree]
     return rows
+
+
+@lru_cache
+def _least_squares(intervals: int, degree: int) -> tuple[splines.Sparse, Any]:
+    """A spline's values at knots and midpoints, and the factors of A'A."""
+    operator = splines.midpoint_operator(intervals, degree)
+    return operator, scipy.sparse.linalg.splu((operator.T @ operator).tocsc())
 
 
 @lru_cache
