@@ -13,6 +13,7 @@ from pathlib import Path
 from tests.benchmarks import (
     bench_monte_carlo,
     bench_replan,
+    bench_safe_plan,
     bench_scaling,
     bench_tube_price,
 )
@@ -32,7 +33,7 @@ def main() -> None:
     )
     parser.add_argument(
         "--only",
-        choices=("replan", "scaling", "tube", "monte-carlo"),
+        choices=("replan", "safe", "scaling", "tube", "monte-carlo"),
         action="append",
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers")
@@ -41,6 +42,7 @@ def main() -> None:
         "replan": lambda: bench_replan.run(
             args.scenario, args.repeats, args.ipopt_repeats
         ),
+        "safe": lambda: bench_safe_plan.run(args.scenario, args.repeats),
         "scaling": lambda: bench_scaling.run(args.scenario, args.repeats),
         "tube": lambda: bench_tube_price.run(args.scenario, args.repeats),
         "monte-carlo": lambda: bench_monte_carlo.run(args.scenario, args.repeats),

@@ -36,6 +36,8 @@ TOLERANCE = 1e-6
 """IPOPT's ``tol``."""
 SMOOTHING = 1e-12
 """Under the root of every norm that is left."""
+SAMPLES = 100
+"""How often an interval is sampled for `Peer.depth`."""
 OPTIONS: dict[str, Any] = {
     "expand": True,
     "print_time": False,
@@ -227,11 +229,12 @@ class Peer:
         program.add(ca.sum1(a * a) - (p.input_limit - feedback) ** 2, high=0.0)
         inside = slice(1, N)  # nothing can be done about the ends
         obstacles = p.obstacles
+        inflation = ca.SX.sym("inflation")  # a parameter: nothing is built anew
         for H, center, radius in zip(
             obstacles.shape, obstacles.center, obstacles.radius, strict=True
         ):
             offset = ca.DM(H) @ r[:, inside] - _columns(center, N - 1)
-            reach = radius + _norm(ca.DM(np.abs(H)) @ omega[:, inside])
+            reach = radius + inflation + _norm(ca.DM(np.abs(H)) @ omega[:, inside])
             program.add(ca.sum1(offset**2) - reach**2, low=0.0)
 
         u = a + drag * _rows(_norm(v)) * v
@@ -239,9 +242,11 @@ class Peer:
         running += p.bandwidth_weight * ca.sum1((alpha - p.bandwidth_floor) ** 2)
         cost = running @ ca.DM(self.transcription.weights)
 
-        self._finish(program, cost, [c.T, alpha.T, feedback])
+        self._finish(program, cost, inflation, [c.T, alpha.T, feedback])
 
-    def _finish(self, program: _Program, cost: Any, outputs: list[Any]) -> None:
+    def _finish(
+        self, program: _Program, cost: Any, inflation: Any, outputs: list[Any]
+    ) -> None:
         """Orders the variables knot by knot and makes both solvers."""
         coefficients, *rest = program.variables
         x = ca.vertcat(ca.vec(coefficients), ca.vec(ca.vertcat(*rest)))
@@ -252,7 +257,7 @@ class Peer:
             for first, *others in zip(*program.variable_bounds, strict=True)
         )
         g = ca.vertcat(*program.constraints)
-        nlp = {"x": x, "f": cost, "g": g}
+        nlp = {"x": x, "f": cost, "g": g, "p": inflation}
         self._cold = ca.nlpsol("cold", "ipopt", nlp, OPTIONS)
         self._warm = ca.nlpsol("warm", "ipopt", nlp, WARM_OPTIONS)
         self._read = ca.Function("read", [x], outputs)
@@ -266,13 +271,19 @@ class Peer:
         self.num_variables, self.num_constraints = x.shape[0], g.shape[0]
 
     def solve(
-        self, *, start: Array | None = None, previous: Solution | None = None
+        self,
+        *,
+        start: Array | None = None,
+        previous: Solution | None = None,
+        inflation: float = 0.0,
     ) -> Solution:
         """Solves from the straight line, or from an earlier solution.
 
         Args:
             start: x*(t0), ``(2, 3)``, if not the problem's.
             previous: to start from.
+            inflation: of all radii, in m, to make up for what is not looked at
+                between knots.
         """
         bounds = self._bounds
         if start is not None:
@@ -290,7 +301,7 @@ class Peer:
                 "lam_g0": previous.raw["lam_g"],
             }
         started = time.perf_counter()
-        raw = solver(**first, **bounds)
+        raw = solver(**first, **bounds, p=inflation)
         elapsed = time.perf_counter() - started
         stats = solver.stats()
         c, alpha, feedback = (np.asarray(e) for e in self._read(raw["x"]))
@@ -315,10 +326,11 @@ class Peer:
         """How deep the tube cuts into an obstacle: at the knots, and anywhere.
 
         Both in m, zero if clear, with the exact tube rather than the peer's
-        trapezoids, which account for what is left at the knots.
+        trapezoids, which account for what is left at the knots.  Every interval is
+        sampled `SAMPLES` times.
         """
         plan = self.plan(solution)
-        fine = np.linspace(plan.start_time, plan.end_time, 100 * self.intervals + 1)
+        fine = np.linspace(plan.start_time, plan.end_time, SAMPLES * self.intervals + 1)
         deepest = []
         for times in (plan.knots, fine):
             clearance = self.problem.obstacles.clearance(
