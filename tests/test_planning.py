@@ -332,7 +332,7 @@ def test_transitions_are_the_derivative_of_the_exact_tube():
         coefficients.shape
     )
     base = tr.evaluate(coefficients, bandwidth)
-    sensitivity = transitions(tr, base, secant=1e-6)
+    sensitivity = transitions(tr, base, secant=1e-6)[:, -1]
     piece, axis, step = 5, 1, 1e-5
     moved = bandwidth.copy()
     moved[piece + 1, axis] += step

@@ -23,6 +23,8 @@ from dtmpc_drake.planning.variables import Variables
 
 SMALLEST_HIGHEST = 0.05
 """Norms of y*^(n) below this are taken for it: they bend without limit at zero."""
+LOSS = 0.25
+"""Part of what turning a half-plane loses that is priced."""
 SMALLEST_SIZE = 1e-3
 """The same of the tube's size, in m."""
 
@@ -114,6 +116,18 @@ def tube_curvature(
         each = by_states.swapaxes(1, 2) @ bend @ by_states
         np.add.at(result, planes.piece[p], each)
     return result
+
+
+def rotation_curvature(planes: Halfplanes, multipliers: Multipliers) -> Array:
+    """What turning a half-plane loses to second order, priced, ``(P,)``.
+
+    A unit normal ν that turns by θ gives up ``ν'z |θ|²/2`` of ``ν'z``.  But turning and
+    moving together also gain, a product of both that is not convex and left out; so
+    only a part of the loss is priced.
+    """
+    along = np.einsum("pci,pi->pc", planes.hull, planes.normal)
+    price = multipliers.planes[planes.piece, planes.obstacle]
+    return np.asarray(LOSS * (price * np.maximum(along, 0.0)).sum(axis=1))
 
 
 def _bend(vector: Array, size: Array) -> Array:

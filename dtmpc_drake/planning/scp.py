@@ -15,10 +15,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dtmpc_drake.models import Array, bends
+from dtmpc_drake.models import Array, bends, euclidean_norm
 from dtmpc_drake.planning.curvature import (
     Multipliers,
     input_curvature,
+    rotation_curvature,
     tube_curvature,
 )
 from dtmpc_drake.planning.deadline import NEVER, Deadline
@@ -44,7 +45,7 @@ an iterate that is feasible to this tolerance keeps the limit itself."""
 INPUT_SCALE = 3.0
 """So much violation of the input's limit, in m/s^n, weighs like one metre."""
 ROTATION = 1.0
-"""Weight of a half-plane's rotation, in place of its second-order loss."""
+"""Weight of a half-plane's rotation, at least."""
 NEXT_TO_NOTHING = 1e-4
 """Weight of moves, which are bounded from below only."""
 SIMILAR = 16
@@ -67,6 +68,8 @@ BETWEEN, BETWEEN_REACH = 4, 0.3
 BANDWIDTH_REACH = 0.6
 """Bandwidths that are further above their lower bound, in parts of their range, are
 left to the projection."""
+APEX = 0.05
+"""Below this part of the input's limit the norm of B⁻¹ y*^(n) is cut from all sides."""
 NO_ROWS = np.zeros((0, 1)), np.zeros((0, 1), dtype=int)
 RIGID = 1e-2
 """A start that violates no more than this is hoped to need no slack."""
@@ -163,11 +166,14 @@ class Program:
             equations.equate(np.ones(alpha.shape), alpha, 0.0)
         else:
             self._add_bandwidth(rows, iterate)
+        sensitivity = transitions(
+            tr, iterate, secant=shape.secant, kinked=self.variables.kinked
+        )
         before = rows.count
         self._planes = iterate.planes.nearer_than(REACH * tr.reach)
-        self._add_hard(rows, iterate, shape.secant)
+        self._add_hard(rows, iterate, sensitivity, shape.secant)
         self._hard = slice(before, rows.count)
-        self._add_tube(rows, equations, iterate, shape.secant)
+        self._add_tube(rows, equations, sensitivity[:, -1])
         slack = np.ones((1, 1)), np.array([[self.variables.size - 1]])
         self._rigid = shape.rigid
         if shape.rigid:
@@ -201,9 +207,7 @@ class Program:
             columns = np.broadcast_to(v.knot_columns[knot], matrix.shape)
             equations.equate(matrix, columns, value)
 
-    def _add_tube(
-        self, rows: Rows, equations: Rows, iterate: Iterate, secant: float
-    ) -> None:
+    def _add_tube(self, rows: Rows, equations: Rows, sensitivity: Array) -> None:
         """The tube follows the decisions, as far as the rows so far look at it.
 
         Far from all limits it may be what it likes: states that no row needs, now or
@@ -212,27 +216,17 @@ class Program:
         tr, v = self.transcription, self.variables
         m, N = tr.outputs, tr.intervals
         S, reads = v.num_states * m, rows.reads()
-        sensitivity = transitions(tr, iterate, secant=secant, kinked=v.kinked)
         links = (np.abs(sensitivity[:, :, :S]) > ZERO).any(axis=0)
         states = reads[v.blocks["states"]].reshape(N + 1, S)
         needed = _needed(states, np.asarray(links))
         first = v.state_columns[0, :S][needed[0], None]
         equations.equate(np.ones(first.shape), first, 0.0)
-        columns = np.concatenate(
-            [
-                v.state_columns,
-                v.alpha_columns[:-1],
-                v.alpha_columns[1:],
-                v.coefficient_columns(np.arange(N), tr.degree + 1),
-                v.move_columns[:-1],
-                v.move_columns[1:],
-            ],
-            axis=1,
-        )
         piece, state = np.nonzero(needed[1:])
+        after = v.state_columns[piece, S + state, None]
+        columns = np.concatenate([after, v.piece_columns[piece]], axis=1)
         by = sensitivity[piece, state]
-        values = np.concatenate([-by[:, :S], np.eye(S)[state], -by[:, S:]], axis=1)
-        equations.equate(values, columns[piece], 0.0)
+        values = np.concatenate([np.ones(after.shape), -by], axis=1)
+        equations.equate(values, columns, 0.0)
         used = rows.reads() | equations.reads()
         self._add_moves(rows, used[v.move_columns])
 
@@ -268,16 +262,19 @@ class Program:
         values = np.broadcast_to([-1.0, 1.0], pairs.shape)
         rows.add(values, pairs, -limit - change[fast], limit - change[fast])
 
-    def _add_hard(self, rows: Rows, iterate: Iterate, secant: float) -> None:
+    def _add_hard(
+        self, rows: Rows, iterate: Iterate, sensitivity: Array, secant: float
+    ) -> None:
         """Input, speed and obstacles, each relaxed by the shared slack."""
         tr, v = self.transcription, self.variables
         self._input_nodes = self._nodes_near_the_input_limit(iterate)
+        self._cuts = self._apex_cuts(iterate)
         close = iterate.speed_margin < SPEED_REACH * tr.reach
         close[1:, 0] = False  # the last control point of the piece before
         self._speeds = np.nonzero(close)
         rate, trusted = self._by_knot(iterate, secant)
         blocks = [
-            self._input_rows(iterate, self._input_nodes, secant),
+            self._input_rows(iterate, self._input_nodes, sensitivity, secant),
             trusted,
             self._speed_rows(self._speeds, rate),
             self._halfplane_rows(self._planes),
@@ -297,6 +294,7 @@ class Program:
         return np.concatenate(
             [
                 at.input_margin[self._input_nodes] / INPUT_SCALE,
+                self._cut_margins(at) / INPUT_SCALE,
                 at.error_margin[:: self.transcription.tube_steps].ravel(),
                 at.speed_margin[self._speeds],
                 of_planes.ravel(),
@@ -316,13 +314,49 @@ class Program:
         both = [knots * tr.tube_steps, piece * tr.tube_steps + node + 1]
         return np.concatenate(both)
 
+    def _apex_cuts(self, iterate: Iterate) -> tuple[Array, Array]:
+        """Where the input's norm is near its apex, and along what it is cut there.
+
+        A norm is the largest of u'v over all unit vectors u.  Its slope at v is one of
+        them; near zero v turns within a step, and more are needed.
+
+        Returns:
+            Places in the input's nodes, and unit vectors, ``(c, m)``.
+        """
+        tr, m = self.transcription, self.transcription.outputs
+        nominal = self._nominal_input(iterate)
+        small = np.linalg.norm(nominal, axis=1) < APEX * tr.problem.input_limit
+        # Between knots y*^(n) is linear, and its norm never the largest.
+        small = np.flatnonzero(small & (self._input_nodes % tr.tube_steps == 0))
+        directions = np.concatenate([np.eye(m), -np.eye(m)])
+        return small.repeat(2 * m), np.tile(directions, (len(small), 1))
+
+    def _nominal_input(self, iterate: Iterate) -> Array:
+        """B⁻¹ y*^(n) at the input's nodes, ``(p, m)``."""
+        tr = self.transcription
+        at = iterate.reference[2 * self._input_nodes]
+        highest = at[:, tr.order]
+        if tr.problem.model.input_is_identity:
+            return np.asarray(highest)
+        inverse = tr.problem.model.inverse_input_matrix(at[:, : tr.order])
+        return np.asarray((inverse @ highest[..., None])[..., 0])
+
+    def _cut_margins(self, iterate: Iterate) -> Array:
+        """Margins of the input's limit with u'v for the norm of v, ``(c,)``."""
+        cut, direction = self._cuts
+        nominal = self._nominal_input(iterate)[cut]
+        margin = iterate.input_margin[self._input_nodes][cut]
+        return np.asarray(
+            margin + euclidean_norm(nominal) - (direction * nominal).sum(axis=1)
+        )
+
     def _input_rows(
-        self, iterate: Iterate, nodes: Array, secant: float
+        self, iterate: Iterate, nodes: Array, sensitivity: Array, secant: float
     ) -> tuple[Array, Array]:
         """Values and columns of the input's limit at some nodes of the fine grid.
 
-        The reference there is linear in its coefficients; the tube's states are taken
-        to move as a mean of those at both ends of the piece.
+        The reference there is linear in its coefficients, and the tube's states answer
+        as `transitions` says, between whose times they are interpolated.
         """
         tr, v = self.transcription, self.variables
         n, m = tr.order, tr.outputs
@@ -334,42 +368,29 @@ class Program:
             return tr.used_input(Local.unpack(x, n, m))[..., None]
 
         slopes = limit_slopes(tr.problem, local, secant)
-        slope = Local.unpack(slopes.used_input, n, m)
-        bend = np.zeros((len(nodes), 0))
-        if len(v.kinked):
-            bend = bends(used_input, local.pack(), secant, v.kinked)[:, 0]
-            bend = kinks(bend, secant)
+        cut, direction = self._cuts
+        each = np.concatenate([np.arange(len(nodes)), cut])
+        along = slopes.nominal / euclidean_norm(slopes.nominal)[:, None]
+        along = np.concatenate([along, direction])
+        slope = Local.unpack(slopes.rows(each).along(along), n, m)
+        nodes = nodes[each]
         rows = np.concatenate([slope.state, slope.highest[:, None]], axis=1)
         coefficients = np.einsum("pkc,pkm->pcm", tr.basis_at(nodes), rows)
         states = np.einsum("pkm,kms->ps", slope.error_bound, np.stack(v.bounds))
         states[:, (n - 1) * m : n * m] += slope.layer
         piece, later = tr.within(nodes)
-        later = later[:, None]
-
-        def at_ends(values: Array) -> Array:
-            return np.concatenate([(1 - later) * values, later * values], axis=1)
-
-        values = np.concatenate(
-            [
-                coefficients.reshape(len(piece), -1),
-                at_ends(slope.bandwidth),
-                at_ends(states),
-                at_ends(bend),
-            ],
-            axis=1,
-        )
-        columns = np.concatenate(
-            [
-                v.coefficient_columns(piece, tr.degree + 1),
-                v.alpha_columns[piece],
-                v.alpha_columns[piece + 1],
-                v.state_columns[piece],
-                v.move_columns[piece],
-                v.move_columns[piece + 1],
-            ],
-            axis=1,
-        )
-        return -values / INPUT_SCALE, columns
+        sub = np.minimum((later * tr.substeps).astype(int), tr.substeps - 1)
+        part = (later * tr.substeps - sub)[:, None, None]
+        answer = (1 - part) * sensitivity[piece, sub]
+        answer = answer + part * sensitivity[piece, sub + 1]
+        values = (states[:, None] @ answer)[:, 0]
+        of_alpha, of_spline, of_moves = v.piece_parts
+        values[:, of_alpha] += _at_ends(slope.bandwidth, later)
+        values[:, of_spline] += coefficients.reshape(len(piece), -1)
+        if len(v.kinked):
+            bend = bends(used_input, local.pack(), secant, v.kinked)[:, 0]
+            values[:, of_moves] += _at_ends(kinks(bend, secant)[each], later)
+        return -values / INPUT_SCALE, v.piece_columns[piece]
 
     def _by_knot(
         self, iterate: Iterate, secant: float
@@ -492,6 +513,13 @@ class Program:
             quadratic += input_curvature(tr, iterate, prices)
             bow = tube_curvature(tr, iterate, self._planes, v, prices)
             self._solver.set_cost("states", quadratic=bow)
+            if v.tangents:
+                turn = rotation_curvature(self._planes, prices)[: v.num_planes]
+                weight = np.full(v.num_planes, 2 * ROTATION)
+                np.maximum(weight[: len(turn)], turn, out=weight[: len(turn)])
+                self._solver.set_cost(
+                    "rotation", quadratic=weight[:, None, None] * np.eye(v.tangents)
+                )
         self._solver.set_cost(
             "coefficients",
             quadratic=quadratic,
@@ -588,6 +616,12 @@ class Program:
         gain = gain + before.layer * (local.bandwidth - before.bandwidth)
         layer = np.maximum(local.layer, 1e-3)
         return coefficients, tr.feasible_bandwidth(gain / layer)
+
+
+def _at_ends(values: Array, later: Array) -> Array:
+    """Slopes by what is linear along a piece, as slopes by its ends, ``(p, 2 q)``."""
+    later = later[:, None]
+    return np.concatenate([(1 - later) * values, later * values], axis=1)
 
 
 def _needed(read: Array, links: Array) -> Array:
@@ -835,8 +869,11 @@ def _iterate(
             continue
         slack = max(float(z[-1]), 0.0)
         merit = current.cost + shape.penalty * _excess(worst)
-        predicted = merit - (program.model_cost(z) + shape.penalty * _excess(slack))
+        model_cost = program.model_cost(z)
+        predicted = merit - (model_cost + shape.penalty * _excess(slack))
         little = effort.tolerance * max(current.cost, 1e-3)
+        # A feasible iterate has only its cost to lose.
+        settled = worst <= BACKOFF and current.cost - model_cost <= little
         # Where there is next to nothing to gain, and Δ does not bend the step, only
         # the whole step is tried.
         last = predicted <= little and worst <= BACKOFF
@@ -874,7 +911,7 @@ def _iterate(
         stuck = 0 if fraction else stuck + 1
         reached = current.cost + shape.penalty * _excess(worst)
         slow = len(merits) > 2 and merits[-3] - reached <= little
-        done = predicted <= little or stuck > 3
+        done = predicted <= little or settled or stuck > 3
         if worst <= BACKOFF and (done or (slow and not stuck)):
             return Result(current, True, worst)
         # A program that would rather break its rows than pay for keeping them is

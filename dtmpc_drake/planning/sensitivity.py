@@ -1,4 +1,4 @@
-"""How the tube at the end of each piece answers to the decisions.
+"""How the tube along each piece answers to the decisions.
 
 The exact tube is a nonlinear function of reference and bandwidth.  Its first
 derivative is integrated here along an iterate, all pieces at once, through the
@@ -27,7 +27,7 @@ def transitions(
     secant: float,
     kinked: Array | None = None,
 ) -> Array:
-    """Derivatives of the tube's states at the end of each piece.
+    """Derivatives of the tube's states along each piece.
 
     Args:
         transcription: of the problem.
@@ -37,9 +37,10 @@ def transitions(
             none if left out.
 
     Returns:
-        ``(N, S m, S m + 2 m + (n + 2) m + 2 q)`` with S states: the columns are
-        the states at the start, α at both ends, the spline coefficients that act
-        on the piece, and how far the kinked coordinates have moved at both ends.
+        ``(N, substeps + 1, S m, S m + 2 m + (n + 2) m + 2 q)`` with S states, at equal
+        times from the start of each piece to its end: the columns are the states at
+        the start, α at both ends, the spline coefficients that act on the piece, and
+        how far the kinked coordinates have moved at both ends.
     """
     tr, p = transcription, transcription.problem
     n, m, N = tr.order, tr.outputs, tr.intervals
@@ -64,11 +65,12 @@ def transitions(
         weights = np.concatenate([1 - weight, weight], axis=-1)[..., None, :]
         each = _propagate(by_tube[index], by_alpha[index][..., None] * weights, h)
         width = (S + 2) * m + (tr.degree + 1) * m
-        result = np.zeros((N, S, m, width))
+        result = np.zeros((*each.shape[:2], S, m, width))
         axes = np.arange(m)
         for column in range(S + 2):
-            result[:, :, axes, column * m + axes] = each[..., column].swapaxes(1, 2)
-        return result.reshape(N, S * m, -1)
+            by_axis = each[..., column].swapaxes(2, 3)
+            result[:, :, :, axes, column * m + axes] = by_axis
+        return result.reshape(*each.shape[:2], S * m, -1)
 
     if kinked is None:
         kinked = np.zeros(0, dtype=int)
@@ -109,12 +111,13 @@ def _propagate(by_state: Array, inputs: Array, step: float) -> Array:
         step: in s.
 
     Returns:
-        X at the end, ``(N, ..., S, S + q)``.
+        X at the ends of all steps and at the start, ``(N, steps + 1, ..., S, S + q)``.
     """
     size = by_state.shape[-1]
     B = np.concatenate([np.zeros_like(by_state), inputs], axis=-1)
     X = np.zeros_like(B[:, 0])
     X[..., :size] = np.eye(size)
+    found = [X]
     for i in range(0, by_state.shape[1] - 1, 2):
         start, middle, end = (by_state[:, i + j] for j in range(3))
         k1 = start @ X + B[:, i]
@@ -122,7 +125,8 @@ def _propagate(by_state: Array, inputs: Array, step: float) -> Array:
         k3 = middle @ (X + step / 2 * k2) + B[:, i + 1]
         k4 = end @ (X + step * k3) + B[:, i + 2]
         X = X + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return np.asarray(X)
+        found.append(X)
+    return np.stack(found, axis=1)
 
 
 def kinks(bend: Array, secant: Array | float) -> Array:

@@ -93,16 +93,40 @@ class LimitSlopes:
     """Derivatives by `Local.pack`, whose width is L, at K instants.
 
     Attributes:
-        used_input: of the bound of the input's norm, ``(K, L)``.
+        nominal: B⁻¹(x*) y*^(n) itself, ``(K, m)``.
+        by_nominal: its derivative, ``(K, m, L)``.
+        by_reaction: of the rest of the input's bound, ``(K, L)``.
         used_rate: of the velocity error's bound if n = 1, else ``(K, 0, L)``.
         error_margin: of `Transcription.error_margin`, ``(K, 0 or m, L)``.
     """
 
-    used_input: Array
+    nominal: Array
+    by_nominal: Array
+    by_reaction: Array
     used_rate: Array
     error_margin: Array
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    @property
+    def used_input(self) -> Array:
+        """Of the bound of the input's norm, ``(K, L)``."""
+        along = self.nominal / euclidean_norm(self.nominal)[:, None]
+        return self.along(along)
+
+    def rows(self, which: Array) -> LimitSlopes:
+        """Those at some of the instants."""
+        fields = dataclasses.fields(self)
+        return LimitSlopes(**{f.name: getattr(self, f.name)[which] for f in fields})
+
+    def along(self, direction: Array) -> Array:
+        """Of that bound with u'B⁻¹ y*^(n) for its norm, ``(K, L)``.
+
+        Args:
+            direction: unit vectors u, ``(K, m)``.
+        """
+        nominal = (direction[:, None] @ self.by_nominal)[:, 0]
+        return np.asarray(nominal + self.by_reaction)
 
 
 def feedforward_slopes(model: Model, local: Local, secant: float) -> Array:
@@ -175,25 +199,27 @@ def limit_slopes(problem: Problem, local: Local, secant: float) -> LimitSlopes:
     reaction = np.abs(inverse) + deviation
     nominal = (inverse * highest[:, None]).sum(axis=-1)
     worst = (deviation * away[:, None] + reaction * feedback[:, None]).sum(axis=-1)
-    along = (nominal / euclidean_norm(nominal)[:, None])[:, None]
     against = (worst / euclidean_norm(worst)[:, None])[:, None]
     through = against @ reaction
     by_model = through @ by_feedback
     if by_inverse.any() or by_deviation.any():
         changes = np.sign(inverse)[..., None] * by_inverse + by_deviation
-        by_model += np.einsum("kpi,kijl,kj->kpl", along, by_inverse, highest)
         by_model += np.einsum("kpi,kijl,kj->kpl", against, changes, feedback)
         by_model += np.einsum("kpi,kijl,kj->kpl", against, by_deviation, away)
-    by_highest = along @ inverse + against @ deviation * (highest / away)[:, None]
-    used_input = _by_local(local, by_model, by_highest, through * sign[:, None])
+    by_highest = against @ deviation * (highest / away)[:, None]
+    reacting = _by_local(local, by_model, by_highest, through * sign[:, None])
+    nothing = 0.0 * inverse
+    by_model = np.einsum("kijl,kj->kil", by_inverse, highest)
+    by_nominal = _by_local(local, by_model, inverse + nothing, nothing)
 
     # Corollary 1, as in `tightening.rate_bound`.
-    nothing = 0.0 * inverse
     rate = _by_local(local, 2 * by_largest - by_own, nothing, nothing + np.eye(m))
     _, by_true = parts["true"]
     none = nothing[:, : by_true.shape[1]]
     return LimitSlopes(
-        used_input=used_input[:, 0],
+        nominal=nominal,
+        by_nominal=by_nominal,
+        by_reaction=reacting[:, 0],
         used_rate=rate[:, : m if n == 1 else 0],
         error_margin=_by_local(local, -by_true, none, none),
     )

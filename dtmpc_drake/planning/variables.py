@@ -40,6 +40,10 @@ class Variables:
         kinked: as given.
         move_columns: the moves' bounds at a knot, ``(K, len(kinked))``.
         state_columns: the tube's states at both ends of a piece, ``(N, 2 S m)``.
+        piece_columns: what acts along a piece: the tube's states at its start, the
+            bandwidth at both ends, its spline coefficients, and the moves' bounds at
+            both ends, ``(N, S m + 2 m + (degree + 1) m + 2 len(kinked))``.
+        piece_parts: where bandwidth, coefficients and moves are among them.
         bounds: from the states at a knot to R_0 ... R_(n-1), each ``(m, S m)``.
         rate_matrix: from the states at a knot to the bound of dỹ/dt (n > 1),
             ``(m, S m)``.
@@ -89,6 +93,21 @@ class Variables:
         )
         states = self.blocks["states"].start
         self.state_columns = states + knots[:-1] * S + np.arange(2 * S)
+        parts = [
+            self.state_columns[:, :S],
+            self.alpha_columns[:-1],
+            self.alpha_columns[1:],
+            self.coefficient_columns(np.arange(N), tr.degree + 1),
+            self.move_columns[:-1],
+            self.move_columns[1:],
+        ]
+        self.piece_columns = np.concatenate(parts, axis=1)
+        ends = np.cumsum([part.shape[1] for part in parts])
+        self.piece_parts = (
+            slice(ends[0], ends[2]),
+            slice(ends[2], ends[3]),
+            slice(ends[3], ends[5]),
+        )
         self.bounds = bounds = tr.state_bounds
         self.local_matrix = self._local_matrix(transcription, bounds)
         self.rate_matrix = bounds[min(1, n - 1)]
