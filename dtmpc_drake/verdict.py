@@ -69,7 +69,7 @@ def look(
     *,
     time: float,
     value: Array,
-    where: Callable[[tuple[Array, ...]], Array],
+    where: Callable[[], Array],
     largest: Array,
 ) -> Array:
     """The record after one more look.
@@ -78,35 +78,30 @@ def look(
         record: of the looks before, ``(6, ..., 7)``.
         time: of this look, in s.
         value: of every quantity, ``(..., 7)``; what is no number is infinite.
-        where: gives the axis or obstacle of some of the values, one number each, from
-            their indices as of `numpy.nonzero`; asked of those that are worse than
-            before, if any.
+        where: gives the axis or obstacle of each, ``(..., 7)``; called only if
+            anything is worse than before.
         largest: from `largest_kept`, ``(7,)``.
 
     Returns:
         A new record, or the same one if nothing is worse than before.
     """
-    worse = np.nonzero(~(value <= record[WORST]))
-    if not len(worse[0]):
+    worse = ~(value <= record[WORST])
+    if not worse.any():
         return record
-    found, place = value[worse], where(worse)
-    found = np.where(np.isnan(found), np.inf, found)
+    value, place = np.where(np.isnan(value), np.inf, value), where()
     after = record.copy()
-    _write(after, WORST, (found, time, place), worse)
+    _write(after, WORST, (value, time, place), worse)
     # A limit that breaks for the first time does so with the worst value so far.
-    breaks = (found > largest[worse[-1]]) & np.isinf(record[SINCE][worse])
+    breaks = worse & (value > largest)
     if breaks.any():
-        broken_now = tuple(axis[breaks] for axis in worse)
-        _write(after, FIRST, (found[breaks], time, place[breaks]), broken_now)
+        _write(after, FIRST, (value, time, place), breaks & np.isinf(record[SINCE]))
     return after
 
 
-def _write(
-    record: Array, column: int, entries: tuple[Any, ...], chosen: tuple[Array, ...]
-) -> None:
-    """Writes columns that follow each other, at the indices of the chosen values."""
+def _write(record: Array, column: int, entries: tuple[Any, ...], chosen: Array) -> None:
+    """Writes columns that follow each other, where `chosen`, ``(..., 7)``, is true."""
     for i, entry in enumerate(entries, start=column):
-        record[i][chosen] = entry
+        np.copyto(record[i], entry, where=chosen)
 
 
 def broken(record: Array) -> Array:

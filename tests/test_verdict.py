@@ -60,7 +60,7 @@ def looks(values) -> np.ndarray:
             record,
             time=float(time),
             value=np.array(value, dtype=float),
-            where=lambda worse: np.zeros(len(worse[0])),
+            where=lambda: np.zeros(7),
             largest=LARGEST,
         )
     return record

@@ -226,14 +226,13 @@ class TubeMonitor(LeafSystem):
         value = self._quantities.Eval(context)
         value = value.reshape(self._shape[0], len(verdict.QUANTITIES))
 
-        def where(chosen: tuple[Array, ...]) -> Array:
-            trial, quantity = chosen
-            ratios, depth, speed = (a[trial] for a in self._by_place(context))
-            place = np.zeros((len(trial), value.shape[1]))
+        def where() -> Array:
+            ratios, depth, speed = self._by_place(context)
+            place = np.zeros(value.shape)
             place[:, _TUBES] = ratios.argmax(axis=-1)
             place[:, verdict.OBSTACLES] = depth.argmax(axis=-1)
             place[:, verdict.SPEED] = speed.argmax(axis=-1)
-            return np.asarray(place[np.arange(len(trial)), quantity])
+            return place
 
         before = context.get_discrete_state(self._record_state).value()
         before = before.reshape(-1, *value.shape)
