@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import re
 from pathlib import Path
 
@@ -178,7 +179,7 @@ def test_unknown_colouring_is_refused() -> None:
 def test_constant_bandwidth_still_gets_a_colour_bar() -> None:
     _, plan = planned(2, 1)
     level = np.full_like(plan.bandwidth_knots, 4.0)
-    constant = Plan(**(vars(plan) | {"bandwidth_knots": level}))
+    constant = dataclasses.replace(plan, bandwidth_knots=level)
     coloring = Coloring.along(constant, constant.sample_times(), "bandwidth")
     assert coloring.low < 4.0 < coloring.high
     assert np.isfinite(coloring.rgb(coloring.values)).all()
