@@ -9,6 +9,8 @@ variables there are, and that a quasi-Newton method sees no kinks (`nlp_rows`).
 
 from __future__ import annotations
 
+import dataclasses
+import threading
 import time
 from collections.abc import Callable
 
@@ -25,6 +27,7 @@ from dtmpc_drake.planning.nlp_rows import (
     Separation,
     add_squares,
     bound_rows,
+    turned,
 )
 from dtmpc_drake.planning.scp import (
     BACKOFF,
@@ -58,6 +61,10 @@ OPTIONS: dict[str, float | int | str] = {
     # By default SPRAL matches and orders anew for every matrix, with more fill.
     "spral_scaling": "none",
 }
+
+_ALONE = threading.Lock()
+"""Rows in Python let other threads run in the middle of a solve; neither IPOPT nor
+SPRAL promises that two of them may be under way at once."""
 
 
 class _Program:
@@ -257,27 +264,62 @@ class _Program:
                 weights=weights[knots].ravel(),
             )
 
-    def solve(self, deadline: Deadline) -> tuple[Array, Array, Array, bool, str]:
-        """Coefficients, bandwidth, tube states, success and status."""
+    def solve(self, deadline: Deadline) -> tuple[Array, bool, str]:
+        """Solves for z; success and status."""
         options = SolverOptions()
         for name, value in OPTIONS.items():
             options.SetOption(IpoptSolver.id(), name, value)
-        if np.isfinite(deadline.left):
-            # IPOPT takes no limit of zero.
-            seconds = max(deadline.left, 1e-3)
-            options.SetOption(IpoptSolver.id(), "max_wall_time", seconds)
-        with np.errstate(all="ignore"):  # on the way it may try anything
+        # On the way it may try anything.
+        with _ALONE, np.errstate(all="ignore"):
+            if np.isfinite(deadline.left):
+                # IPOPT takes no limit of zero.
+                seconds = max(deadline.left, 1e-3)
+                options.SetOption(IpoptSolver.id(), "max_wall_time", seconds)
             result = IpoptSolver().Solve(self.program, None, options)
-        details = result.get_solver_details()
-        tr, blocks = self.transcription, self.layout.blocks
         z = self.scale * np.asarray(result.GetSolution(self.x))
-        return (
-            z[blocks["coefficients"]].reshape(-1, tr.outputs),
-            z[blocks["bandwidth"]].reshape(-1, tr.outputs),
-            z[blocks["states"]].reshape(tr.intervals + 1, -1, tr.outputs),
-            result.is_success(),
-            details.ConvertStatusToString(),
+        status = result.get_solver_details().ConvertStatusToString()
+        return z, result.is_success(), status
+
+    def evaluate(self, z: Array) -> Iterate:
+        """The iterate of z, with its half-planes where they are better.
+
+        They part the tube exactly, where those that an evaluation finds by itself
+        are only nearly the best for `tube_margin: support`.
+        """
+        tr = self.transcription
+        coefficients, alpha = (
+            self._block(z, name) for name in ("coefficients", "bandwidth")
         )
+        with np.errstate(all="ignore"):  # an iterate that diverges may overflow
+            iterate = tr.evaluate(coefficients, tr.feasible_bandwidth(alpha))
+        before, found = self._guess.planes, iterate.planes
+        count = max(len(tr.problem.obstacles.radius), 1)
+        _, there, here = np.intersect1d(
+            found.piece * count + found.obstacle,
+            before.piece * count + before.obstacle,
+            return_indices=True,
+        )
+        if not len(here):
+            return iterate
+        rotation = z[self.layout.blocks["rotation"]].reshape(len(before.piece), -1)
+        normal = found.normal.copy()
+        normal[there] = turned(before.normal[here], rotation[here])
+        other = tr.margins(iterate, dataclasses.replace(found, normal=normal))
+        worse = other.margin.min(axis=1) < found.margin.min(axis=1)
+        normal[worse] = found.normal[worse]
+        planes = tr.margins(iterate, dataclasses.replace(found, normal=normal))
+        return dataclasses.replace(iterate, planes=planes)
+
+    def states(self, z: Array) -> Array:
+        """The tube's, shaped as `Transcription.tube_states`."""
+        m = self.transcription.outputs
+        states = self._block(z, "states")
+        return states.reshape(-1, self.layout.num_states, m)
+
+    def _block(self, z: Array, name: str) -> Array:
+        """A block of z, ``(..., m)``."""
+        block = z[self.layout.blocks[name]]
+        return np.asarray(block.reshape(-1, self.transcription.outputs))
 
 
 def _blocks(index: Array) -> list[Array]:
@@ -317,17 +359,16 @@ def solve_nlp(
         t0 = clock()
         program = _Program(tr, current, correction)
         t1 = clock()
-        coefficients, alpha, states, success, status = program.solve(deadline)
+        z, success, status = program.solve(deadline)
         t2 = clock()
-        if not all(np.isfinite(x).all() for x in (coefficients, alpha, states)):
+        if not np.isfinite(z).all():
             return Result(best, False, least, _words(status))
         before = current
-        with np.errstate(all="ignore"):  # an iterate that diverges may overflow
-            current = tr.evaluate(coefficients, tr.feasible_bandwidth(alpha))
-            worst = violation(current)
+        current = program.evaluate(z)
+        worst = violation(current)
         if worst < least or (worst <= BACKOFF and current.cost < best.cost):
             best, least = current, worst
-        exact = tr.tube_states(current)
+        states, exact = program.states(z), tr.tube_states(current)
         defect = exact - states - correction
         correction = exact - states
         t3 = clock()

@@ -298,8 +298,7 @@ class AtKnots(Rows):
 class Separation(Rows):
     """Margins of half-planes that part pieces from obstacles, and may turn.
 
-    Each normal is ``(ν + Σ t_j τ_j) / sqrt(1 + t't)`` with the guess's ν, tangents
-    τ and rotation t, so that its length needs no row.
+    Each normal is `turned` from the guess's, so that its length needs no row.
 
     Args:
         transcription: of the problem.
@@ -353,8 +352,7 @@ class Separation(Rows):
         hull = np.einsum("pij,pcj->pci", self._shape, self._position @ windows)
         hull = hull - self._center[:, None]
         length = np.sqrt(1 + (t * t).sum(axis=1))[:, None, None]
-        turned = self._normal + np.einsum("pt,pti->pi", t, self._tangents)
-        normal = turned / length[:, 0]
+        normal = turned(self._normal, t)
         by_turn = self._tangents / length
         by_turn = by_turn - normal[:, None] * t[:, :, None] / length**2
         return hull, self._cubic(states) + self._above, normal, by_turn
@@ -399,6 +397,17 @@ class Separation(Rows):
         P, c = hull.shape[:2]
         slopes = np.concatenate([position.reshape(P, c, -1), -states, turn], axis=2)
         return np.asarray(slopes.reshape(self.columns.shape))
+
+
+def turned(normal: Array, rotation: Array) -> Array:
+    """Unit normals ``(ν + Σ t_j τ_j) / sqrt(1 + t't)`` with tangents τ.
+
+    Args:
+        normal: ν, ``(P, rows)``.
+        rotation: t, ``(P, rows - 1)``.
+    """
+    moved = normal + np.einsum("pt,pti->pi", rotation, tangent_space(normal))
+    return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
 
 
 def rounded(
