@@ -49,7 +49,7 @@ STATE_SCALE = 3.0
 OPTIONS: dict[str, float | int | str] = {
     "tol": 1e-4,
     "constr_viol_tol": 1e-5,
-    # Without a Hessian the last digits of the dual are half of the iterations; a
+    # Without a Hessian the last digits of the dual take a third of the iterations; a
     # cost that stays is enough, since feasibility is measured on the exact tube.
     "acceptable_tol": 0.5,
     "acceptable_obj_change_tol": 1e-4,
@@ -60,6 +60,8 @@ OPTIONS: dict[str, float | int | str] = {
     "max_iter": 1000,
     # By default SPRAL matches and orders anew for every matrix, with more fill.
     "spral_scaling": "none",
+    # Smaller supernodes than SPRAL's own 32 suit rows that read so little.
+    "spral_nemin": 8,
 }
 
 _ALONE = threading.Lock()

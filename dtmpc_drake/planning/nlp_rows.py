@@ -23,7 +23,7 @@ from dtmpc_drake.planning.variables import Variables
 
 ROUNDING = 0.02
 """Radius of what stands for a kink at rest, in units of the state.  At a kink the
-quasi-Newton method never ends; a tenth of it costs a third more iterations."""
+quasi-Newton method never ends; a quarter of it costs a quarter more iterations."""
 TURN_ROUNDING = 0.01
 """The same for a half-plane's normal along an axis."""
 
