@@ -109,8 +109,6 @@ def planning(scenario: Scenario) -> list[Part]:
     M, C = N * steps, N * linearised
     if model.error_bound_varies:
         differences = 7 * C * m**2 * (2 * n + 2) ** 2
-        if planner.backend == "ipopt":
-            differences += 30_000 * N * m**2  # one expression after the other
     else:
         differences = 12 * C * m * (n + 1) ** 2
     tube = 2 * M * m * (13 + 5 * n) + differences

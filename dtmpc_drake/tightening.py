@@ -1,8 +1,8 @@
 """Constraint tightening (the paper's corollaries 1 and 2, Theorem 2).
 
 Everything here is a function of one instant, batched over leading axes and
-generic in the scalar: the certificate evaluates it along a plan, the SCP
-backend differentiates it numerically, the NLP backend writes it symbolically.
+generic in the scalar: the certificate evaluates it along a plan, both backends
+differentiate it numerically.
 
 `reference_radius` (0 at one instant) makes each of them hold for a whole box of
 references, which is how the certificate covers the time between samples.

@@ -223,9 +223,7 @@ def field(model, **changes) -> Scenario:
     return scenario
 
 
-@pytest.mark.parametrize(
-    "backend", ["clarabel", pytest.param("ipopt", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("backend", ["clarabel", "ipopt"])
 def test_a_constant_bound_is_kept_above_the_true_one(backend):
     """Where the speed must come near the one that the constant is made for."""
     model = DragDoubleIntegrator(drag_estimate=0.1, drag_error_bound=0.05)
@@ -276,7 +274,6 @@ def test_the_comparison_bound_beats_the_papers():
     assert not paper.certified or paper.cost > ours.cost
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("intervals", [28, 56])
 def test_both_backends_agree(intervals):
     scenario = load_scenario("known_environment")

@@ -1,14 +1,16 @@
 """The same problem on IPOPT, with its bilinear constraints as they are.
 
-Decisions, cost and constraints are those of the transcription; the tube obeys
-its differential equations by Hermite-Simpson collocation, and the normals of the
-separating half-planes are variables.  Every row is a scalar symbolic expression,
-which Drake evaluates in C++ (a quadratic one as such), because its IPOPT has no
-exact Hessian and therefore evaluates often.
+Decisions, cost and constraints are those of the transcription, in the layout of the
+convex programs; the tube obeys its differential equations by Hermite-Simpson
+collocation, and the separating half-planes turn.  Drake's IPOPT has no exact
+Hessian, and SPRAL as its only linear solver: what counts is how many rows and
+variables there are, and that a quasi-Newton method sees no kinks (`nlp_rows`).
 """
 
 from __future__ import annotations
 
+import dataclasses
+import threading
 import time
 from collections.abc import Callable
 
@@ -16,237 +18,315 @@ import numpy as np
 from pydrake.solvers import IpoptSolver, MathematicalProgram, SolverOptions
 
 from dtmpc_drake.models import Array
-from dtmpc_drake.planning import splines
 from dtmpc_drake.planning.deadline import NEVER, Deadline
-from dtmpc_drake.planning.scp import BACKOFF, Iteration, Result, violation
-from dtmpc_drake.planning.transcription import (
-    Iterate,
-    Local,
-    Transcription,
-    hermite_controls,
+from dtmpc_drake.planning.nlp_rows import (
+    AtKnots,
+    Collocation,
+    Layout,
+    Rows,
+    Separation,
+    add_squares,
+    bound_rows,
+    turned,
 )
-from dtmpc_drake.tube import cascade_bound
+from dtmpc_drake.planning.scp import (
+    BACKOFF,
+    SPEED_REACH,
+    Iteration,
+    Result,
+    violation,
+)
+from dtmpc_drake.planning.transcription import Iterate, Local, Transcription
 
 ROUNDS = 4
-"""Solves at most: each adds the half-planes that its result shows to be missed
-and shifts the tube by the rest of the collocation's error."""
+"""Solves at most: each adds the rows that its result shows to be missed and shifts
+the tube by the rest of the collocation's error."""
+BLOCK = 14
+"""So many knots or pieces are evaluated together.  Drake gives every block
+derivatives by all that it reads, so that cost grows with the square of this."""
+STATE_SCALE = 3.0
+"""Of the tube's states, in which the Lagrangian is less curved than in y*^(n)."""
+OPTIONS: dict[str, float | int | str] = {
+    "tol": 1e-4,
+    "constr_viol_tol": 1e-5,
+    # Without a Hessian the last digits of the dual take a third of the iterations; a
+    # cost that stays is enough, since feasibility is measured on the exact tube.
+    "acceptable_tol": 0.5,
+    "acceptable_obj_change_tol": 1e-4,
+    "acceptable_constr_viol_tol": 1e-4,
+    "acceptable_compl_inf_tol": 1e-3,
+    "acceptable_iter": 4,
+    "mu_strategy": "adaptive",
+    "max_iter": 1000,
+    # By default SPRAL matches and orders anew for every matrix, with more fill.
+    "spral_scaling": "none",
+    # Smaller supernodes than SPRAL's own 32 suit rows that read so little.
+    "spral_nemin": 8,
+}
+
+_ALONE = threading.Lock()
+"""Rows in Python let other threads run in the middle of a solve; neither IPOPT nor
+SPRAL promises that two of them may be under way at once."""
 
 
 class _Program:
-    """One nonlinear program around an iterate."""
+    """One nonlinear program around an iterate.
+
+    Args:
+        transcription: of the problem.
+        guess: to start from.
+        correction: by which the exact tube is above the program's, as the guess has
+            it, shaped as `Transcription.tube_states`.
+    """
 
     def __init__(
         self, transcription: Transcription, guess: Iterate, correction: Array
     ) -> None:
         tr, p = transcription, transcription.problem
-        n, m, K = tr.order, tr.outputs, tr.intervals + 1
-        self.transcription = tr
+        self.transcription, self._guess = tr, guess
+        self.layout = layout = Layout(tr, planes=len(guess.planes.piece))
         self.program = MathematicalProgram()
-        new = self.program.NewContinuousVariables
-        self.coefficients = new(K - 1 + tr.degree, m, "q")
-        # The cost is nearly a sum of squares of these, which is what a
-        # quasi-Newton method wants to see; in coefficients it is stiff.
-        self.highest = new(K, m, "highest")
-        # Scaled so that cost weighs all decisions alike.
-        self.scale = np.sqrt(p.input_weight / max(p.bandwidth_weight, 1e-6))
-        self.scaled_alpha = new(K, m, "alpha")
-        self.alpha = self.scale * self.scaled_alpha
-        rows = n + 1 if tr.has_velocity_state else n
-        self.states = new(K * rows, m, "state").reshape(K, rows, m)
-        self.middles = new((K - 1) * rows, m, "middle").reshape(K - 1, rows, m)
-        self._set_guess(guess)
-        knots = [
-            splines.knot_operator(K - 1, tr.degree, k, tr.step).toarray()
-            @ self.coefficients
-            for k in range(n + 1)
-        ]
-        self._rows(knots[n] - self.highest, 0.0, 0.0)
-        knots[n] = self.highest
-        state = np.stack(knots[:n], axis=1)
-        for k in range(n):
-            self._rows(knots[k][0] - p.start[k], 0.0, 0.0)
-            if np.isfinite(p.goal[k]).all():
-                self._rows(knots[k][-1] - p.goal[k], 0.0, 0.0)
-        if p.start_highest is not None:
-            self._rows(knots[n][0] - p.start_highest, 0.0, 0.0)
-        if p.start_bandwidth is not None:
-            self._rows(self.alpha[0] - p.start_bandwidth, 0.0, 0.0)
-        first = tr.tube_states(guess)[0]
-        self._rows((self.states[0] - first).ravel(), 0.0, 0.0)
-        low, high = tr.bandwidth_low, tr.bandwidth_high
+        self.x = self.program.NewContinuousVariables(layout.size, "x")
+        self.scale = np.ones(layout.size)
+        self.scale[layout.blocks["states"]] = STATE_SCALE
+        # The cost weighs all decisions alike.
+        alike = np.sqrt(p.input_weight / max(p.bandwidth_weight, 1e-6))
+        self.scale[layout.blocks["bandwidth"]] = alike
+        self._exact = layout.pack(tr, guess)
+        self._none, self._shift = np.zeros((2, layout.size))
+        self._shift[layout.blocks["states"]] = correction.ravel()
+        self.program.SetInitialGuess(self.x, self._exact / self.scale)
+        self._add_bounds()
+        self._add_ends()
+        self._add_reference()
+        self._add_bandwidth_rate()
+        for pieces in _blocks(np.arange(tr.intervals)):
+            self._bound(Collocation(tr, layout, pieces), self._none, 0.0, 0.0)
+        self._add_input()
+        self._add_speed()
+        # In the order of the pieces, so that those of a block read the same.
+        for which in _blocks(np.argsort(guess.planes.piece, kind="stable")):
+            rows = Separation(tr, layout, guess, which)
+            self._bound(rows, self._shift, BACKOFF, np.inf)
+        self._add_cost()
+
+    def _bound(
+        self, rows: Rows, shift: Array, low: Array | float, high: Array | float
+    ) -> None:
+        bound_rows(
+            self.program,
+            rows,
+            self.x,
+            scale=self.scale,
+            shift=shift,
+            low=low,
+            high=high,
+        )
+
+    def _add_limit(
+        self, knots: Array, function: Callable[[Local], Array], margin: Array
+    ) -> None:
+        """A function may grow by its margin at the guess, both ``(knots, r)``."""
+        for some in _blocks(knots):
+            rows = AtKnots(self.transcription, self.layout, some, function)
+            high = rows.values(self._exact) + margin[some].ravel() - BACKOFF
+            self._bound(rows, self._shift, -np.inf, high)
+
+    def _add_row(self, columns: Array, values: Array, low: float, high: float) -> None:
+        """One linear row; of a matrix Drake does not tell IPOPT the sparsity."""
+        used = values != 0
+        columns = columns[used]
+        row = values[used] * self.scale[columns]
+        self.program.AddLinearConstraint(row, low, high, self.x[columns])
+
+    def _add_box(self, columns: Array, low: Array, high: Array) -> None:
+        scale = self.scale[columns]
         self.program.AddBoundingBoxConstraint(
-            np.tile(low / self.scale, (K, 1)),
-            np.tile(high / self.scale, (K, 1)),
-            self.scaled_alpha,
+            low / scale, high / scale, self.x[columns]
         )
-        self._rows(
-            (self.alpha[1:] - self.alpha[:-1]).ravel(),
-            -tr.bandwidth_change,
-            tr.bandwidth_change,
+
+    def _add_bounds(self) -> None:
+        """Of the bandwidth; and what is given, which IPOPT leaves out."""
+        tr, p, blocks = (
+            self.transcription,
+            self.transcription.problem,
+            self.layout.blocks,
         )
-        self._collocate(state)
-        # The exact tube is the collocated one and a correction.
-        exact = self.states + correction
-        self._hard(state, knots[n], exact, guess)
+        m = tr.outputs
+        low, high = (
+            np.tile(bound, (tr.intervals + 1, 1))
+            for bound in (tr.bandwidth_low, tr.bandwidth_high)
+        )
+        if p.start_bandwidth is not None:
+            low[0] = high[0] = p.start_bandwidth
+        index = np.arange(self.layout.size)
+        self._add_box(index[blocks["bandwidth"]], low.ravel(), high.ravel())
+        first = index[blocks["states"]][: self.layout.num_states * m]
+        for columns in (first, index[blocks["slack"]]):
+            self._add_box(columns, self._exact[columns], self._exact[columns])
+        if p.start_highest is not None:
+            columns = index[blocks["highest"]][:m]
+            self._add_box(columns, p.start_highest, p.start_highest)
 
-    def _rows(self, expressions: Array, lower: float, upper: float) -> None:
-        for expression in np.ravel(expressions):
-            self.program.AddConstraint(expression, lower, upper)
+    def _add_ends(self) -> None:
+        tr, p, layout = self.transcription, self.transcription.problem, self.layout
+        m = tr.outputs
+        ends = [(0, k, p.start[k]) for k in range(tr.order)]
+        ends += [(-1, k, p.goal[k]) for k in tr.goal_rows]
+        for knot, k, wanted in ends:
+            rows = layout.local_matrix[k * m : (k + 1) * m]
+            for row, value in zip(rows, wanted, strict=True):
+                self._add_row(layout.knot_columns[knot], row, value, value)
 
-    def _set_guess(self, guess: Iterate) -> None:
-        values = self.transcription.tube_states(guess)
-        half = self.transcription.tube_steps // 2
-        middle = self.transcription.tube_states(guess, half)[1::2]
-        for variables, value in (
-            (self.coefficients, guess.coefficients),
-            (self.highest, guess.local.highest),
-            (self.scaled_alpha, guess.bandwidth / self.scale),
-            (self.states, values),
-            (self.middles, middle),
-        ):
-            self.program.SetInitialGuess(
-                variables.reshape(len(variables), -1),
-                value.reshape(len(value), -1),
+    def _add_reference(self) -> None:
+        """y*^(n) at the knots is what the coefficients say."""
+        m, matrix = self.transcription.outputs, self.layout.highest_matrix
+        for columns in self.layout.knot_columns:
+            read = columns[: matrix.shape[1]]
+            for row, highest in zip(matrix, columns[-m:], strict=True):
+                self._add_row(np.append(read, highest), np.append(row, -1.0), 0.0, 0.0)
+
+    def _add_bandwidth_rate(self) -> None:
+        tr = self.transcription
+        if tr.problem.bandwidth_is_fixed:
+            return
+        block, limit = self.layout.blocks["bandwidth"], tr.bandwidth_change
+        pair = np.array([-1.0, 1.0])
+        for column in range(block.start, block.stop - tr.outputs):
+            self._add_row(np.array([column, column + tr.outputs]), pair, -limit, limit)
+
+    def _add_input(self) -> None:
+        """The input's limit, and that of a constant that stands for Δ."""
+        tr, guess = self.transcription, self._guess
+        knots = np.arange(tr.intervals + 1)
+        # A knot answers for the pieces on both sides.
+        worst = tr.pieces(guess.input_margin).min(axis=1)
+        least = np.minimum(np.append(worst, np.inf), np.append(np.inf, worst))
+        self._add_limit(
+            knots, lambda local: tr.used_input(local)[..., None], least[:, None]
+        )
+        trusted = guess.error_margin[:: tr.tube_steps]
+        if trusted.size:
+            self._add_limit(
+                knots,
+                lambda local: -tr.error_margin(local.state, local.error_bound),
+                trusted,
             )
 
-    def _collocate(self, state: Array) -> None:
-        """Hermite-Simpson on the tube's own differential equation."""
-        tr = self.transcription
-        h = tr.step
-        basis = [
-            splines.basis(tr.degree, k, np.array([0.5]), h)[0] for k in range(tr.order)
-        ]
-        index = np.arange(tr.intervals)[:, None] + np.arange(tr.degree + 1)
-        windows = self.coefficients[index]
-        middle_state = np.stack(
-            [np.einsum("c,ncm->nm", b, windows) for b in basis], axis=1
-        )
-        middle_alpha = (self.alpha[:-1] + self.alpha[1:]) / 2
-
-        x, f = self.states, tr.tube_rates(state, self.alpha, self.states)
-        f_middle = tr.tube_rates(middle_state, middle_alpha, self.middles)
-        average, change = (x[:-1] + x[1:]) / 2, x[1:] - x[:-1]
-        self._rows(self.middles - average - h / 8 * (f[:-1] - f[1:]), 0.0, 0.0)
-        self._rows(change - h / 6 * (f[:-1] + 4 * f_middle + f[1:]), 0.0, 0.0)
-        self.tube_rate = f
-
-    def _hard(
-        self, state: Array, highest: Array, states: Array, guess: Iterate
-    ) -> None:
-        """Input, speed, obstacles, and the cost."""
-        tr, p = self.transcription, self.transcription.problem
+    def _add_speed(self) -> None:
+        """Where it comes near its limit; later rounds see where else."""
+        tr, layout, margin = self.transcription, self.layout, self._guess.speed_margin
         n, m = tr.order, tr.outputs
-        stages = states[:, :n]
-        bounds = [cascade_bound(stages, p.slope, k) for k in range(n)]
-        if tr.has_velocity_state:
-            bounds[-1] = states[:, n]
-        local = Local(
-            state=state,
-            highest=highest,
-            layer=stages[:, n - 1],
-            bandwidth=self.alpha,
-            error_bound=np.stack(bounds, axis=1),
-        )
-        # What the pieces on both sides need beyond a knot, as seen at the guess.
-        margin = guess.input_margin
-        worst = tr.pieces(margin).min(axis=1)
-        least = np.minimum(np.append(worst, np.inf), np.append(np.inf, worst))
-        seen = tr.used_input(guess.local)
-        bulge = p.input_limit - seen - np.minimum(margin[:: tr.tube_steps], least)
-        for row, extra in zip(tr.used_input(local), bulge, strict=True):
-            self.program.AddConstraint(row, -np.inf, p.input_limit - extra - BACKOFF)
-        trusted = tr.error_margin(local.state, local.error_bound)
-        if trusted.size:
-            self._rows(BACKOFF - trusted, -np.inf, 0.0)
-        rate, weight = tr.used_rate(local), np.linspace(0, 1, n + 1)[:, None]
-        chord = rate[:-1, None] * (1 - weight) + rate[1:, None] * weight
-        seen_rate = tr.used_rate(guess.local)
-        seen_chord = seen_rate[:-1, None] * (1 - weight) + seen_rate[1:, None] * weight
-        index = np.arange(tr.intervals)[:, None] + np.arange(tr.degree + 1)
-        windows = self.coefficients[index]
-        speed = np.einsum("ic,ncm->nim", tr.speed_basis, windows)
-        seen_speed = tr.speed_basis @ guess.coefficients[index]
-        bulge = p.speed_limit - seen_chord - seen_speed - guess.speed_margin[..., 0]
-        room = p.speed_limit - bulge - BACKOFF
-        self._rows(speed + chord - room, -np.inf, 0.0)
-        self._rows(chord - speed - room, -np.inf, 0.0)
-        self._obstacles(windows, stages, guess)
-
-        u = tr.feedforward(local)
-        for w, row, a in zip(tr.weights, u, self.alpha, strict=True):
-            cost = p.input_weight * (row**2).sum()
-            cost = cost + p.bandwidth_weight * ((a - p.bandwidth_floor) ** 2).sum()
-            self.program.AddCost(w * cost)
-        del m
-
-    def _obstacles(self, windows: Array, stages: Array, guess: Iterate) -> None:
-        tr, p = self.transcription, self.transcription.problem
-        planes, obstacles = guess.planes, p.obstacles
-        if not len(planes.piece):
+        near = margin < SPEED_REACH
+        if n == 1:  # the speed at the knots, and a bound that is no state
+            at_knots = np.concatenate([margin[:, 0], margin[-1:, 1]])
+            self._add_limit(
+                np.flatnonzero((at_knots < SPEED_REACH).any(axis=(1, 2))),
+                lambda local: np.stack(
+                    [
+                        tr.used_rate(local) + local.highest,
+                        tr.used_rate(local) - local.highest,
+                    ],
+                    axis=-1,
+                ).reshape(*local.layer.shape[:-1], -1),
+                at_knots.reshape(len(at_knots), -1),
+            )
             return
-        controls = np.einsum("ic,ncm->nim", tr.position_basis, windows)
-        value = stages[:, 0]
-        rate = self.tube_rate[:, 0]
-        elevate = splines.elevation(3, tr.control_degree)
-        points = hermite_controls(value, rate, tr.step)
-        tubes = np.einsum("ij,njm->nim", elevate, points)
-        # What the exact tube has above these curves, as seen at the guess.
-        seen = hermite_controls(
-            guess.tube.error_bound[:: tr.tube_steps, 0],
-            guess.tube.error_bound_rate[:: tr.tube_steps, 0],
-            tr.step,
+        near[1:, 0] = False  # the last control point of the piece before
+        count = tr.speed_basis.shape[1]
+        first = np.arange(tr.intervals)
+        reads = np.concatenate(
+            [layout.coefficient_columns(first, count), layout.state_columns], axis=1
         )
-        tubes = tubes + (guess.tube_controls - elevate @ seen)
-        for row, (k, o) in enumerate(zip(planes.piece, planes.obstacle, strict=True)):
-            H, center = obstacles.shape[o], obstacles.center[o]
-            used = np.flatnonzero(np.any(H != 0, axis=1))
-            normal = self.program.NewContinuousVariables(len(used), "normal")
-            self.program.SetInitialGuess(normal, planes.normal[row, used])
-            self.program.AddConstraint((normal**2).sum(), 0.0, 1.0)
-            boxes = tubes[k] @ np.abs(H[used]).T
-            offset = controls[k] @ H[used].T - center[used]
-            for i in range(len(offset)):
-                if p.tube_margin == "norm":
-                    size = self.program.NewContinuousVariables(1, "size")[0]
-                    here = guess.tube_controls[k, i] @ np.abs(H[used]).T
-                    self.program.SetInitialGuess(size, np.linalg.norm(here))
-                    self.program.AddBoundingBoxConstraint(0.0, np.inf, size)
-                    self.program.AddConstraint(
-                        (boxes[i] ** 2).sum() - size**2, -np.inf, 0.0
-                    )
-                else:
-                    signs = np.sign(planes.normal[row, used])
-                    size = (signs * normal * boxes[i]).sum()
-                along = (normal * offset[i]).sum()
-                self.program.AddConstraint(
-                    along - size, obstacles.radius[o] + BACKOFF, np.inf
-                )
+        for piece, control, axis, sign in zip(*np.nonzero(near), strict=True):
+            unit = np.eye(m)[axis]
+            speed = np.kron(tr.speed_basis[control], -unit if sign else unit)
+            rate, later = layout.rate_matrix[axis], control / n
+            row = np.concatenate([speed, (1 - later) * rate, later * rate])
+            columns = reads[piece]
+            high = row @ (self._exact - self._shift)[columns]
+            high += margin[piece, control, axis, sign] - BACKOFF
+            self._add_row(columns, row, -np.inf, high)
 
-    def solve(self, deadline: Deadline) -> tuple[Array, Array, Array, bool, str]:
-        """Coefficients, bandwidth, tube states, success and status."""
+    def _add_cost(self) -> None:
+        tr, p = self.transcription, self.transcription.problem
+
+        def residuals(local: Local) -> Array:
+            excess = local.bandwidth - p.bandwidth_floor
+            return np.concatenate([tr.feedforward(local), excess], axis=-1)
+
+        each = np.repeat([p.input_weight, p.bandwidth_weight], tr.outputs)
+        weights = tr.weights[:, None] * each
+        for knots in _blocks(np.arange(tr.intervals + 1)):
+            add_squares(
+                self.program,
+                AtKnots(tr, self.layout, knots, residuals),
+                self.x,
+                scale=self.scale,
+                weights=weights[knots].ravel(),
+            )
+
+    def solve(self, deadline: Deadline) -> tuple[Array, bool, str]:
+        """Solves for z; success and status."""
         options = SolverOptions()
-        for name, value in {
-            "tol": 1e-4,
-            "constr_viol_tol": 1e-5,
-            "acceptable_tol": 1e-3,
-            "acceptable_constr_viol_tol": 1e-5,
-            "acceptable_iter": 10,
-            "mu_strategy": "adaptive",
-            "max_iter": 1000,
-        }.items():
+        for name, value in OPTIONS.items():
             options.SetOption(IpoptSolver.id(), name, value)
-        if np.isfinite(deadline.left):
-            # IPOPT takes no limit of zero.
-            seconds = max(deadline.left, 1e-3)
-            options.SetOption(IpoptSolver.id(), "max_wall_time", seconds)
-        result = IpoptSolver().Solve(self.program, None, options)
-        details = result.get_solver_details()
-        values = [
-            np.asarray(result.GetSolution(v.reshape(len(v), -1))).reshape(v.shape)
-            for v in (self.coefficients, self.scaled_alpha, self.states)
-        ]
-        values[1] *= self.scale
-        return (*values, result.is_success(), details.ConvertStatusToString())
+        # On the way it may try anything.
+        with _ALONE, np.errstate(all="ignore"):
+            if np.isfinite(deadline.left):
+                # IPOPT takes no limit of zero.
+                seconds = max(deadline.left, 1e-3)
+                options.SetOption(IpoptSolver.id(), "max_wall_time", seconds)
+            result = IpoptSolver().Solve(self.program, None, options)
+        z = self.scale * np.asarray(result.GetSolution(self.x))
+        status = result.get_solver_details().ConvertStatusToString()
+        return z, result.is_success(), status
+
+    def evaluate(self, z: Array) -> Iterate:
+        """The iterate of z, with its half-planes where they are better.
+
+        They part the tube exactly, where those that an evaluation finds by itself
+        are only nearly the best for `tube_margin: support`.
+        """
+        tr = self.transcription
+        coefficients, alpha = (
+            self._block(z, name) for name in ("coefficients", "bandwidth")
+        )
+        with np.errstate(all="ignore"):  # an iterate that diverges may overflow
+            iterate = tr.evaluate(coefficients, tr.feasible_bandwidth(alpha))
+        before, found = self._guess.planes, iterate.planes
+        count = max(len(tr.problem.obstacles.radius), 1)
+        _, there, here = np.intersect1d(
+            found.piece * count + found.obstacle,
+            before.piece * count + before.obstacle,
+            return_indices=True,
+        )
+        if not len(here):
+            return iterate
+        rotation = z[self.layout.blocks["rotation"]].reshape(len(before.piece), -1)
+        normal = found.normal.copy()
+        normal[there] = turned(before.normal[here], rotation[here])
+        other = tr.margins(iterate, dataclasses.replace(found, normal=normal))
+        worse = other.margin.min(axis=1) < found.margin.min(axis=1)
+        normal[worse] = found.normal[worse]
+        planes = tr.margins(iterate, dataclasses.replace(found, normal=normal))
+        return dataclasses.replace(iterate, planes=planes)
+
+    def states(self, z: Array) -> Array:
+        """The tube's, shaped as `Transcription.tube_states`."""
+        m = self.transcription.outputs
+        states = self._block(z, "states")
+        return states.reshape(-1, self.layout.num_states, m)
+
+    def _block(self, z: Array, name: str) -> Array:
+        """A block of z, ``(..., m)``."""
+        block = z[self.layout.blocks[name]]
+        return np.asarray(block.reshape(-1, self.transcription.outputs))
+
+
+def _blocks(index: Array) -> list[Array]:
+    """Indices in blocks of about `BLOCK`; none if there are none."""
+    return np.array_split(index, -(-len(index) // BLOCK)) if len(index) else []
 
 
 def solve_nlp(
@@ -279,21 +359,18 @@ def solve_nlp(
         if deadline.passed:
             return Result(best, False, least, out_of_time=True)
         t0 = clock()
-        # numpy warns of invalid values whenever it meets a symbolic expression.
-        with np.errstate(invalid="ignore"):
-            program = _Program(tr, current, correction)
+        program = _Program(tr, current, correction)
         t1 = clock()
-        coefficients, alpha, states, success, status = program.solve(deadline)
+        z, success, status = program.solve(deadline)
         t2 = clock()
-        if not all(np.isfinite(x).all() for x in (coefficients, alpha, states)):
+        if not np.isfinite(z).all():
             return Result(best, False, least, _words(status))
         before = current
-        with np.errstate(all="ignore"):  # an iterate that diverges may overflow
-            current = tr.evaluate(coefficients, tr.feasible_bandwidth(alpha))
-            worst = violation(current)
+        current = program.evaluate(z)
+        worst = violation(current)
         if worst < least or (worst <= BACKOFF and current.cost < best.cost):
             best, least = current, worst
-        exact = tr.tube_states(current)
+        states, exact = program.states(z), tr.tube_states(current)
         defect = exact - states - correction
         correction = exact - states
         t3 = clock()
