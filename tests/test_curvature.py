@@ -17,6 +17,7 @@ from dtmpc_drake.planning.curvature import (
 )
 from dtmpc_drake.planning.qp import borrowed
 from dtmpc_drake.planning.scp import (
+    INPUT_SCALE,
     Program,
     Shape,
     _needed,
@@ -152,42 +153,39 @@ def straight_cruise(input_limit: float) -> Scenario:
 def test_steps_through_the_inputs_apex_keep_their_promise():
     """y*^(n) turns round within the step, which one slope of its norm does not see."""
     scenario = straight_cruise(6.0)
+    scenario.model.drag_error_bound = 0.0  # so that the tube stays as it is
     tr = Transcription(Problem.from_scenario(scenario), 40)
-    coefficients, bandwidth = tr.straight_line()
-    base = tr.evaluate(coefficients, bandwidth)
-    # On the straight line y*^(n) is zero in the middle; the limit is just kept there.
+    start = tr.straight_line()
     middle = slice(10 * tr.tube_steps, 30 * tr.tube_steps)
-    used = tr.problem.input_limit - base.input_margin[middle]
-    limit = float(used.max()) + 0.02
-    problem = dataclasses.replace(tr.problem, input_limit=limit)
-    tr = Transcription(problem, 40)
-    base = tr.evaluate(coefficients, bandwidth)
-    variables = Variables(
-        tr, planes=len(base.planes.piece), kinked=kinked_coordinates(tr)
+    used = tr.problem.input_limit - tr.evaluate(*start).input_margin[middle]
+    tr = Transcription(
+        dataclasses.replace(tr.problem, input_limit=float(used.max()) + 0.02), 40
     )
+    base = tr.evaluate(*start)
+    variables = Variables(tr, planes=len(base.planes.piece), kinked=np.zeros(0, int))
+    z = np.zeros(variables.size)
+    wiggle = 0.03 * np.sin(np.arange(20)[:, None] + np.array([0.0, 1.0, 2.0]))
+    first = variables.blocks["coefficients"].start + 11 * 3
+    z[first : first + wiggle.size] = wiggle.ravel()
     with borrowed(variables.layout) as solver:
         program = Program(tr, variables, solver, accuracy=1e-6)
-        program.update(base, Shape(secant=1e-3, proximity=0.1))
-        z, _ = program.solve()
-    assert z is not None
-    z *= 0.05 / np.abs(z[variables.blocks["coefficients"]]).max()
-    reached = tr.evaluate(*program.decisions(base, z))
-    inner = reached.reference[2 * middle.start : 2 * middle.stop, tr.order]
-    assert np.linalg.norm(inner, axis=1).max() > 0.01  # it moved off the apex
-    promised, actual = program.margins_after(z, reached)
-    promised, actual = promised[z.size * 0 :], actual
-    nodes = program._input_nodes
-    count = len(nodes) + len(program._cuts[0])
-    at = np.concatenate([nodes, nodes[program._cuts[0]]])
-    worst_promised = np.full(len(reached.input_margin), np.inf)
-    np.minimum.at(worst_promised, at, promised[:count])
-    inside = [n for n in nodes if middle.start <= n < middle.stop]
-    knots = [n for n in inside if n % tr.tube_steps == 0]
-    assert len(knots) > 5
-    missed = worst_promised[knots] - reached.input_margin[knots] / 3.0
-    # All six directions together see at least 1/sqrt(3) of a norm that grows.
-    size = np.linalg.norm(reached.reference[2 * np.array(knots), tr.order], axis=1)
-    assert (missed <= (1 - 1 / np.sqrt(3)) * size / 3.0 + 2e-3).all()
+        program.update(base, Shape(secant=1e-3))
+    reached = tr.evaluate(start[0] + z[: start[0].size].reshape(-1, 3), start[1])
+    promised, _ = program.margins_after(z, reached)
+
+    nodes, cuts = program._input_nodes, program._cuts[0]
+    lowest = promised[: len(nodes)].copy()
+    np.minimum.at(lowest, cuts, promised[len(nodes) : len(nodes) + len(cuts)])
+    size = np.linalg.norm(reached.reference[2 * nodes, tr.order], axis=1)
+    inside = (nodes > middle.start) & (nodes < middle.stop)
+    inside &= (nodes % tr.tube_steps == 0) & (size > 0.05)
+    assert inside.sum() > 10
+    actual = reached.input_margin[nodes] / INPUT_SCALE
+    # Six directions see at least 1/sqrt(3) of a norm; one alone may miss all of it.
+    missed = ((lowest - actual) * INPUT_SCALE)[inside] / size[inside]
+    alone = ((promised[: len(nodes)] - actual) * INPUT_SCALE)[inside] / size[inside]
+    assert missed.max() < 1 - 1 / np.sqrt(3) + 0.05
+    assert alone.max() > 0.9
 
 
 def test_a_cruise_near_the_inputs_limit_converges_in_a_few_programs():
