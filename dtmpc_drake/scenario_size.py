@@ -71,14 +71,18 @@ class Part:
 def tube_steps(scenario: Scenario) -> tuple[int, int]:
     """Steps of the tube in each interval: as it is propagated, and linearised.
 
-    No step is longer than the time constant of the fastest filter, 1 / (α + nλ).
+    No step is longer than half the time constant of the fastest filter, 1 / (α + nλ),
+    and half that of the bandwidth.
     """
     interval = scenario.duration / scenario.planner.intervals
-    fastest = sum(_rates(scenario).values())
-    doublings = math.ceil(math.log2(max(fastest * interval, 2.0)))
-    least = 16 if scenario.model.error_bound_varies else 8
-    linearised = 2 * 2**doublings
-    return max(least, linearised), linearised
+    rates = _rates(scenario)
+
+    def steps(rate: float) -> int:
+        return int(2 * 2 ** math.ceil(math.log2(max(rate * interval, 2.0))))
+
+    return max(8, steps(sum(rates.values()))), steps(
+        sum(rate for name, rate in rates.items() if name != "controller.slope")
+    )
 
 
 def _rates(scenario: Scenario) -> dict[str, float]:
@@ -112,7 +116,7 @@ def planning(scenario: Scenario) -> list[Part]:
     else:
         differences = 12 * C * m * (n + 1) ** 2
     tube = 2 * M * m * (13 + 5 * n) + differences
-    program = 6 * m**2 * (N + n + 1) ** 2 + 8 * (2 * n + 3) * N * m**3
+    program = 60 * (2 * n + 3) * N * m**2
     planes = 10 * N * o * max(n + 2, 4) * (m * (3 * n + 5) + r)
     # Two steps an interval are the least.
     fast = (*_rates(scenario), "duration") if linearised > 4 else ()

@@ -36,7 +36,7 @@ from dtmpc_drake.scenario import Planner, Scenario
 
 Status = Literal["certified", "not_certified", "infeasible", "failed"]
 
-TOLERANCE = 0.025
+TOLERANCE = 0.02
 """Iterations stop when the next one promises less than this part of the cost."""
 COARSEST = 12
 """Grids are halved for a first solution, down to no less than this."""

@@ -731,8 +731,8 @@ def _walk(
         merit: at the start.
         predicted: decrease of the merit.
         penalty: of the violation.
-        tries: 1 for the whole step only, 2 for ever smaller parts of it, 3 for
-            a second-order correction before that.
+        tries: 2 for ever smaller parts of it, 3 for a second-order correction
+            before that.
         deadline: after which there is no correction.
 
     Returns:
@@ -763,7 +763,7 @@ def _walk(
             # What is of second order shrinks with the square of the step.
             bend = corrected - z
     fraction = 0.5
-    while tries > 1 and fraction > SHORTEST:
+    while fraction > SHORTEST:
         part = fraction * z + fraction**2 * bend
         trial, worst = tried(part)
         if kept(trial, worst, fraction):
@@ -842,7 +842,6 @@ def _iterate(
 ) -> Result:
     """The iterations themselves."""
     tr, clock = program.transcription, time.perf_counter
-    varies = tr.problem.model.error_bound_varies
     worst = violation(current)
     merits: list[float] = []
     stuck = failures = 0
@@ -874,10 +873,9 @@ def _iterate(
         little = effort.tolerance * max(current.cost, 1e-3)
         # A feasible iterate has only its cost to lose.
         settled = worst <= BACKOFF and current.cost - model_cost <= little
-        # Where there is next to nothing to gain, and Δ does not bend the step, only
-        # the whole step is tried.
+        # Where there is next to nothing to gain, it is not worth a correction.
         last = predicted <= little and worst <= BACKOFF
-        tries = (2 if varies else 1) if last else 2 if effort.coarse else 3
+        tries = 2 if last or effort.coarse else 3
         step = _walk(
             program, current, z, merit, predicted, shape.penalty, tries, deadline
         )

@@ -63,7 +63,8 @@ def transitions(
     if not p.model.error_bound_varies:
         # The axes do not see each other, nor the reference.
         weights = np.concatenate([1 - weight, weight], axis=-1)[..., None, :]
-        each = _propagate(by_tube[index], by_alpha[index][..., None] * weights, h)
+        inputs = by_alpha[index][..., None] * weights
+        each = _propagate(by_tube[index], inputs, h, tr.is_stiff)
         width = (S + 2) * m + (tr.degree + 1) * m
         result = np.zeros((*each.shape[:2], S, m, width))
         axes = np.arange(m)
@@ -98,17 +99,18 @@ def transitions(
         ],
         axis=-1,
     )
-    return _propagate(by_tube, inputs, h)
+    return _propagate(by_tube, inputs, h, tr.is_stiff)
 
 
-def _propagate(by_state: Array, inputs: Array, step: float) -> Array:
-    """Integrates dX/dt = A X + [0 B] from X = [I 0] by Runge-Kutta.
+def _propagate(by_state: Array, inputs: Array, step: float, stiff: bool) -> Array:
+    """Integrates dX/dt = A X + [0 B] from X = [I 0], fourth order in the step.
 
     Args:
         by_state: A at both ends and in the middle of every step,
             ``(N, 2 steps + 1, ..., S, S)``.
         inputs: B, ``(N, 2 steps + 1, ..., S, q)``.
         step: in s.
+        stiff: whether some filter is faster than a step.
 
     Returns:
         X at the ends of all steps and at the start, ``(N, steps + 1, ..., S, S + q)``.
@@ -117,16 +119,39 @@ def _propagate(by_state: Array, inputs: Array, step: float) -> Array:
     B = np.concatenate([np.zeros_like(by_state), inputs], axis=-1)
     X = np.zeros_like(B[:, 0])
     X[..., :size] = np.eye(size)
-    found = [X]
+    found, advance = [X], _lobatto if stiff else _runge_kutta
     for i in range(0, by_state.shape[1] - 1, 2):
-        start, middle, end = (by_state[:, i + j] for j in range(3))
-        k1 = start @ X + B[:, i]
-        k2 = middle @ (X + step / 2 * k1) + B[:, i + 1]
-        k3 = middle @ (X + step / 2 * k2) + B[:, i + 1]
-        k4 = end @ (X + step * k3) + B[:, i + 2]
-        X = X + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        three = range(i, i + 3)
+        X = advance([by_state[:, j] for j in three], [B[:, j] for j in three], X, step)
         found.append(X)
     return np.stack(found, axis=1)
+
+
+def _runge_kutta(A: list[Array], B: list[Array], X: Array, step: float) -> Array:
+    """One explicit step; A and B are given at its start, middle and end."""
+    k1 = A[0] @ X + B[0]
+    k2 = A[1] @ (X + step / 2 * k1) + B[1]
+    k3 = A[1] @ (X + step / 2 * k2) + B[1]
+    k4 = A[2] @ (X + step * k3) + B[2]
+    return np.asarray(X + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
+
+
+def _lobatto(A: list[Array], B: list[Array], X: Array, step: float) -> Array:
+    """One step of Lobatto IIIC, which forgets what a fast filter forgets.
+
+    Its three stages are at the same times (Hairer and Wanner, Solving Ordinary
+    Differential Equations II, 1996, table IV.5.9).
+    """
+    size = X.shape[-2]
+    weights = np.array([[2, -4, 2], [2, 5, -1], [2, 8, 2]]) / 12
+    blocks = [[-step * w * A[i] for w in row] for i, row in enumerate(weights)]
+    system = np.eye(3 * size) + np.concatenate(
+        [np.concatenate(row, axis=-1) for row in blocks], axis=-2
+    )
+    right = np.concatenate([a @ X + b for a, b in zip(A, B, strict=True)], axis=-2)
+    stages = np.linalg.solve(system, right)
+    k1, k2, k3 = (stages[..., i * size : (i + 1) * size, :] for i in range(3))
+    return np.asarray(X + step / 6 * (k1 + 4 * k2 + k3))
 
 
 def kinks(bend: Array, secant: Array | float) -> Array:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cached_property, lru_cache
+from math import ceil, log2
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -38,9 +39,8 @@ REACH = 0.8
 """Pieces and obstacles that are further apart have no half-plane, in m."""
 BLEND = 0.125
 """Part of the way, at each end, in which a start is bent to meet the ends."""
-TUBE_STEPS = (8, 8)
-"""Steps of the tube in each interval, at least, where Δ is constant and where it
-varies (and may have kinks); the half grid has twice as many."""
+TUBE_STEPS = 8
+"""Steps of the tube in each interval, at least; the half grid has twice as many."""
 
 
 class Guess(Protocol):
@@ -194,13 +194,13 @@ class Transcription:
         self.bandwidth_change = (1 - HAIR) * min(
             problem.bandwidth_rate_max * self.step, float(high.max())
         )
-        # Runge-Kutta steps of at most the fastest filter's time constant.
-        fastest = float((problem.bandwidth_max + self.order * problem.slope).max())
-        self.substeps = 2
-        while self.substeps < fastest * self.step:
-            self.substeps *= 2
-        least = TUBE_STEPS[model.error_bound_varies]
-        self.tube_steps = max(least, 2 * self.substeps)
+        # Steps of the tube of at most half the fastest filter's time constant; those of
+        # its derivatives need only be as short as the bandwidth asks.
+        fastest = problem.bandwidth_max + self.order * problem.slope
+        self.substeps = _power_of_two(self.step * problem.bandwidth_max)
+        finest = _power_of_two(self.step * fastest)
+        self.is_stiff = self.substeps < finest
+        self.tube_steps = max(TUBE_STEPS, 2 * finest)
         fine = np.arange(2 * self.tube_steps) / (2 * self.tube_steps)
         self._half_basis = np.stack(
             [
@@ -631,6 +631,11 @@ class Transcription:
             bound_samples=tube.error_bound,
             bound_rate_samples=tube.error_bound_rate,
         )
+
+
+def _power_of_two(least: Array) -> int:
+    """The smallest that is not below any of some numbers, nor below two."""
+    return int(2 ** ceil(log2(max(float(least.max()), 2.0))))
 
 
 def hermite_controls(value: Array, rate: Array, step: float) -> Array:
