@@ -80,9 +80,9 @@ def tube_steps(scenario: Scenario) -> tuple[int, int]:
     def steps(rate: float) -> int:
         return int(2 * 2 ** math.ceil(math.log2(max(rate * interval, 2.0))))
 
-    return max(8, steps(sum(rates.values()))), steps(
-        sum(rate for name, rate in rates.items() if name != "controller.slope")
-    )
+    bandwidth = sum(v for name, v in rates.items() if name != "controller.slope")
+    least = 16 if scenario.model.error_bound_varies and bandwidth * interval > 1 else 8
+    return max(least, steps(sum(rates.values()))), steps(bandwidth)
 
 
 def _rates(scenario: Scenario) -> dict[str, float]:

@@ -39,8 +39,9 @@ REACH = 0.8
 """Pieces and obstacles that are further apart have no half-plane, in m."""
 BLEND = 0.125
 """Part of the way, at each end, in which a start is bent to meet the ends."""
-TUBE_STEPS = 8
-"""Steps of the tube in each interval, at least; the half grid has twice as many."""
+TUBE_STEPS = 8, 16
+"""Steps of the tube in each interval, at least; the half grid has twice as many.  The
+second where Δ varies and eight are longer than an eighth of a time constant."""
 
 
 class Guess(Protocol):
@@ -197,10 +198,15 @@ class Transcription:
         # Steps of the tube of at most half the fastest filter's time constant; those of
         # its derivatives need only be as short as the bandwidth asks.
         fastest = problem.bandwidth_max + self.order * problem.slope
-        self.substeps = _power_of_two(self.step * problem.bandwidth_max)
+        high = problem.bandwidth_max
+        self.substeps = _power_of_two(self.step * high)
         finest = _power_of_two(self.step * fastest)
         self.is_stiff = self.substeps < finest
-        self.tube_steps = max(TUBE_STEPS, 2 * finest)
+        least, most = TUBE_STEPS
+        if model.error_bound_varies:
+            # Δ(x*) may have kinks, which parabolas on the steps round off.
+            least = min(max(_power_of_two(8 * self.step * high), least), most)
+        self.tube_steps = max(least, 2 * finest)
         fine = np.arange(2 * self.tube_steps) / (2 * self.tube_steps)
         self._half_basis = np.stack(
             [
