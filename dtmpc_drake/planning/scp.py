@@ -28,7 +28,6 @@ from dtmpc_drake.planning.rows import ZERO, Rows
 from dtmpc_drake.planning.sensitivity import kinks, transitions
 from dtmpc_drake.planning.slopes import feedforward_slopes, limit_slopes
 from dtmpc_drake.planning.transcription import (
-    REACH,
     Halfplanes,
     Iterate,
     Local,
@@ -55,15 +54,17 @@ SECANT = 0.1
 often have a kink at rest; a derivative would not see it, a secant does."""
 ACCURACY, COARSE_ACCURACY = 5e-4, 2e-3
 """Tolerance of the duality gap; a fiftieth of it for feasibility."""
+PROXIMITY = 0.1
+"""First weight of the square of the step, at most, after one that failed."""
 MAX_FAILURES = 3
 """Programs that the solver may fail to solve before the iterations end."""
 SHORTEST = 0.02
 """Steps are not walked by less than this fraction."""
 RATE_REACH = 0.5
 """Bandwidth rates below this part of their limit are left to the projection."""
-SPEED_REACH, INPUT_REACH = 0.7, 1.0
-"""Knots with more margin than this are left out of a program, m/s and m/s²."""
-BETWEEN, BETWEEN_REACH = 4, 0.3
+SPEED_REACH, INPUT_REACH = 0.28, 0.2
+"""Knots with more margin than this part of the limit are left out of a program."""
+BETWEEN, BETWEEN_REACH = 4, 0.06
 """Parts of a piece at whose ends the input is limited too, and with which margin."""
 BANDWIDTH_REACH = 0.6
 """Bandwidths that are further above their lower bound, in parts of their range, are
@@ -170,7 +171,7 @@ class Program:
             tr, iterate, secant=shape.secant, kinked=self.variables.kinked
         )
         before = rows.count
-        self._planes = iterate.planes.nearer_than(REACH * tr.reach)
+        self._planes = iterate.planes.nearer_than(tr.obstacle_reach)
         self._add_hard(rows, iterate, sensitivity, shape.secant)
         self._hard = slice(before, rows.count)
         self._add_tube(rows, equations, sensitivity[:, -1])
@@ -269,7 +270,7 @@ class Program:
         tr, v = self.transcription, self.variables
         self._input_nodes = self._nodes_near_the_input_limit(iterate)
         self._cuts = self._apex_cuts(iterate)
-        close = iterate.speed_margin < SPEED_REACH * tr.reach
+        close = iterate.speed_margin < SPEED_REACH * tr.reach * tr.problem.speed_limit
         close[1:, 0] = False  # the last control point of the piece before
         self._speeds = np.nonzero(close)
         rate, trusted = self._by_knot(iterate, secant)
@@ -304,13 +305,14 @@ class Program:
     def _nodes_near_the_input_limit(self, iterate: Iterate) -> Array:
         """Knots, some fixed nodes between them, and where the input peaks."""
         tr = self.transcription
+        limit = tr.reach * tr.problem.input_limit
         inner = tr.pieces(iterate.input_margin)[:, 1:-1]
         chosen = np.zeros(inner.shape, dtype=bool)
         chosen[:, tr.tube_steps // BETWEEN - 1 :: tr.tube_steps // BETWEEN] = True
         chosen[np.arange(len(inner)), inner.argmin(axis=1)] = True
-        piece, node = np.nonzero(chosen & (inner < BETWEEN_REACH * tr.reach))
+        piece, node = np.nonzero(chosen & (inner < BETWEEN_REACH * limit))
         at_knots = iterate.input_margin[:: tr.tube_steps]
-        knots = np.flatnonzero(at_knots < INPUT_REACH * tr.reach)
+        knots = np.flatnonzero(at_knots < INPUT_REACH * limit)
         both = [knots * tr.tube_steps, piece * tr.tube_steps + node + 1]
         return np.concatenate(both)
 
@@ -588,6 +590,11 @@ class Program:
             normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         return dataclasses.replace(self._planes, normal=normal)
 
+    def decided(self, z: Array) -> Array:
+        """The decisions' part of a step."""
+        blocks = self.variables.blocks
+        return z[blocks["coefficients"].start : blocks["bandwidth"].stop]
+
     def model_cost(self, z: Array) -> float:
         """The program's idea of the cost after a step."""
         blocks = self.variables.blocks
@@ -863,10 +870,10 @@ def _iterate(
             failures += 1
             if failures > MAX_FAILURES:
                 return Result(current, False, worst, status)
-            proximity = max(10 * shape.proximity, 0.1)
+            proximity = max(10 * shape.proximity, PROXIMITY)
             shape = dataclasses.replace(shape, proximity=proximity)
             continue
-        slack = max(float(z[-1]), 0.0)
+        slack, whole = max(float(z[-1]), 0.0), program.decided(z)
         merit = current.cost + shape.penalty * _excess(worst)
         model_cost = program.model_cost(z)
         predicted = merit - (model_cost + shape.penalty * _excess(slack))
@@ -909,7 +916,9 @@ def _iterate(
         stuck = 0 if fraction else stuck + 1
         reached = current.cost + shape.penalty * _excess(worst)
         slow = len(merits) > 2 and merits[-3] - reached <= little
-        done = predicted <= little or settled or stuck > 3
+        # While programs say that all limits can be kept, they are to be.
+        kept = worst <= BACKOFF or slack > BACKOFF
+        done = (predicted <= little and kept) or settled or stuck > 3
         if worst <= BACKOFF and (done or (slow and not stuck)):
             return Result(current, True, worst)
         # A program that would rather break its rows than pay for keeping them is
@@ -921,7 +930,9 @@ def _iterate(
         elif done:
             return Result(current, False, worst)
         if fraction < 0.3:
-            proximity = max(4 * shape.proximity, 0.1)
+            # One that would at least cost what the whole step promised.
+            first = min(PROXIMITY, predicted / max(float(whole @ whole), 1e-12))
+            proximity = max(4 * shape.proximity, first)
             shape = dataclasses.replace(shape, proximity=proximity)
         elif fraction == 1.0:
             shape = dataclasses.replace(shape, proximity=shape.proximity / 4)

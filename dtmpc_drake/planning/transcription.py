@@ -35,8 +35,9 @@ INPUT_HAIR = 2e-3
 """By how much the input does: the tube's pieces round off the model's kinks."""
 SPEED_HAIR = 1e-3
 """By how much the speed does: W is proven with some slack, see `enclosure`."""
-REACH = 0.8
-"""Pieces and obstacles that are further apart have no half-plane, in m."""
+REACH, REACH_OF_A_STEP = 0.8, 0.32
+"""Pieces and obstacles that are further apart have no half-plane: in m, or in parts of
+what the speed limit allows between two knots if that is more."""
 BLEND = 0.125
 """Part of the way, at each end, in which a start is bent to meet the ends."""
 TUBE_STEPS = 8, 16
@@ -140,7 +141,7 @@ class Iterate:
         local: at the knots.
         controls: Bézier points of y*, ``(N, degree + 1, m)``.
         tube_controls: Bézier points that bound Ω from above, same shape.
-        planes: that part the pieces from the obstacles within `REACH`.
+        planes: that part the pieces from the obstacles within reach.
         speed_margin: ``(N, n + 1, m, 2)``, both signs.
         input_margin: at the nodes of the fine grid, ``(M + 1,)``.
         error_margin: of the constant that stands for Δ over the true one, there,
@@ -181,6 +182,8 @@ class Transcription:
         self.order, self.outputs = model.order, model.num_outputs
         self.intervals = intervals
         self.step = problem.duration / intervals
+        far = REACH_OF_A_STEP * problem.speed_limit * self.step
+        self.obstacle_reach = reach * max(REACH, far)
         self.degree = self.order + 1
         self.control_degree = max(self.degree, 3)
         self.knots: Array = problem.start_time + self.step * np.arange(intervals + 1)
@@ -566,7 +569,7 @@ class Transcription:
         bound = np.linalg.norm(middle[:, :, 0], axis=-1) - spread - obstacles.radius
         radii = obstacles.tube_radii(tube.max(axis=1))
         bound = bound - np.linalg.norm(radii, axis=-1)
-        piece, obstacle = np.nonzero(bound < self.reach * REACH)
+        piece, obstacle = np.nonzero(bound < self.obstacle_reach)
         hull, H = offsets[piece, obstacle], obstacles.shape[obstacle]
         boxes = np.einsum("pij,pcj->pci", np.abs(H), tube[piece])
         normal = separating_normals(hull, np.linalg.norm(boxes, axis=-1))
