@@ -30,7 +30,7 @@ from dtmpc_drake.planning.margins import Margin, smallest, worst
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.tightening import input_bound, rate_bound
 
-INTERVALS = (16e-3, 4e-3, 1e-3, 5e-4)
+INTERVALS = (16e-3, 4e-3, 2e-3, 1e-3, 5e-4)
 """Longest interval, in s: the next one is taken if a bound is negative.  The first
 is for models whose error bound is constant: nothing is of first order then but F̂."""
 SAMPLED = "the model's bounds over a box are sampled, not proven"

@@ -41,7 +41,7 @@ MAX_PENALTY = 1e6
 BACKOFF = 3e-4
 """How much the programs ask for beyond every limit, in m, m/s and m/s², so that
 an iterate that is feasible to this tolerance keeps the limit itself."""
-INPUT_SCALE = 3.0
+INPUT_SCALE = 8.0
 """So much violation of the input's limit, in m/s^n, weighs like one metre."""
 ROTATION = 1.0
 """Weight of a half-plane's rotation, at least."""
