@@ -43,6 +43,8 @@ in m/s), whose bound depends on itself and, through Δ̄, on the whole tube."""
 HAIR = 1e-3
 """So much may an obstacle's bound be too low on the longest intervals, in m: one
 that is lower is not looked at on shorter ones."""
+OF_THE_SAMPLES = frozenset({"tube", "bandwidth_knots"})
+"""Margins that more samples of the same tube improve."""
 _OF_THE_PLAN = ("tube", *OF_THE_ENDS)
 """Margins that say how far a plan agrees with itself and its problem: no limits."""
 
@@ -76,13 +78,18 @@ class Certificate:
         return self.kept and self.bounds_proven
 
     @property
+    def broken(self) -> frozenset[str]:
+        """Names of the margins that are not kept."""
+        return frozenset(name for name, m in self.margins.items() if not m.kept)
+
+    @property
     def worst(self) -> tuple[str, Margin]:
         """The smallest margin and its name, among limits where all are kept.
 
         Raises:
             ValueError: if there are `faults`, and so no margins.
         """
-        broken = {name: m for name, m in self.margins.items() if not m.kept}
+        broken = {name: self.margins[name] for name in self.broken}
         limits = {n: m for n, m in self.margins.items() if n not in _OF_THE_PLAN}
         among = broken or limits
         margin = worst(among.values())

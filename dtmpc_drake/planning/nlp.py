@@ -292,25 +292,12 @@ class _Program:
         coefficients, alpha = (
             self._block(z, name) for name in ("coefficients", "bandwidth")
         )
-        with np.errstate(all="ignore"):  # an iterate that diverges may overflow
-            iterate = tr.evaluate(coefficients, tr.feasible_bandwidth(alpha))
-        before, found = self._guess.planes, iterate.planes
-        count = max(len(tr.problem.obstacles.radius), 1)
-        _, there, here = np.intersect1d(
-            found.piece * count + found.obstacle,
-            before.piece * count + before.obstacle,
-            return_indices=True,
-        )
-        if not len(here):
-            return iterate
+        before = self._guess.planes
         rotation = z[self.layout.blocks["rotation"]].reshape(len(before.piece), -1)
-        normal = found.normal.copy()
-        normal[there] = turned(before.normal[here], rotation[here])
-        other = tr.margins(iterate, dataclasses.replace(found, normal=normal))
-        worse = other.margin.min(axis=1) < found.margin.min(axis=1)
-        normal[worse] = found.normal[worse]
-        planes = tr.margins(iterate, dataclasses.replace(found, normal=normal))
-        return dataclasses.replace(iterate, planes=planes)
+        normal = turned(before.normal, rotation)
+        hint = dataclasses.replace(before, normal=normal)
+        with np.errstate(all="ignore"):  # an iterate that diverges may overflow
+            return tr.evaluate(coefficients, tr.feasible_bandwidth(alpha), hint=hint)
 
     def states(self, z: Array) -> Array:
         """The tube's, shaped as `Transcription.tube_states`."""

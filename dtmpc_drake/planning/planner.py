@@ -17,7 +17,7 @@ from dtmpc_drake.planning.best_side import (
     candidates_table,
     plan_best_side,
 )
-from dtmpc_drake.planning.certificate import Certificate, certify
+from dtmpc_drake.planning.certificate import OF_THE_SAMPLES, Certificate, certify
 from dtmpc_drake.planning.curvature import Multipliers
 from dtmpc_drake.planning.deadline import Deadline
 from dtmpc_drake.planning.nlp import solve_nlp
@@ -216,6 +216,12 @@ def plan_problem(
     before = time.perf_counter()
     attempt = transcription.plan(result.iterate)
     certificate = certify(attempt, problem)
+    if certificate.broken and certificate.broken <= OF_THE_SAMPLES:
+        # The decisions are good, but the tube that goes with them is too coarse.
+        finer = Transcription(problem, transcription.intervals, refinement=2)
+        decisions = result.iterate.coefficients, result.iterate.bandwidth
+        attempt = finer.plan(finer.evaluate(*decisions))
+        certificate = certify(attempt, problem)
     after = time.perf_counter()
     status, message = _verdict(transcription, result, certificate, deadline)
     times = {

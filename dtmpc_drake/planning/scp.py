@@ -570,7 +570,7 @@ class Program:
     def margins_after(self, z: Array, reached: Iterate) -> tuple[Array, Array]:
         """Margins of the relaxed rows as promised for a step, and as reached."""
         promised = self._hard_margin + (self._rows.matrix @ z)[self._hard] - z[-1]
-        turned = self.transcription.margins(reached, self._turned(z))
+        turned = self.transcription.margins(reached, self.turned(z))
         return promised, self._hard_margins(reached, turned.margin)
 
     def correct(self, z: Array, reached: Iterate) -> None:
@@ -580,7 +580,7 @@ class Program:
         low[self._hard] -= actual - promised
         self._solver.set_lower_bounds(low)
 
-    def _turned(self, z: Array) -> Halfplanes:
+    def turned(self, z: Array) -> Halfplanes:
         """The half-planes as a step turns them."""
         v, normal = self.variables, self._planes.normal.copy()
         free = min(len(normal), v.num_planes) if v.tangents else 0
@@ -749,7 +749,8 @@ def _walk(
     tr = program.transcription
 
     def tried(z: Array) -> tuple[Iterate, float]:
-        iterate = tr.evaluate(*program.decisions(current, z))
+        hint = program.turned(z)
+        iterate = tr.evaluate(*program.decisions(current, z), hint=hint)
         return iterate, violation(iterate)
 
     def kept(iterate: Iterate, worst: float, fraction: float) -> bool:

@@ -174,9 +174,17 @@ class Transcription:
         reach: part of the usual reaches within which limits enter the programs, and
             obstacles enter at all.  A limit that turns out to be missed enters the
             next program.
+        refinement: times as many steps of the tube as usual.
     """
 
-    def __init__(self, problem: Problem, intervals: int, *, reach: float = 1.0) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        intervals: int,
+        *,
+        reach: float = 1.0,
+        refinement: int = 1,
+    ) -> None:
         self.problem, self.reach = problem, reach
         model = problem.model
         self.order, self.outputs = model.order, model.num_outputs
@@ -209,7 +217,7 @@ class Transcription:
         if model.error_bound_varies:
             # Δ(x*) may have kinks, which parabolas on the steps round off.
             least = min(max(_power_of_two(8 * self.step * high), least), most)
-        self.tube_steps = max(least, 2 * finest)
+        self.tube_steps = refinement * max(least, 2 * finest)
         fine = np.arange(2 * self.tube_steps) / (2 * self.tube_steps)
         self._half_basis = np.stack(
             [
@@ -330,8 +338,16 @@ class Transcription:
             alpha = np.clip(alpha, low, high)
         return np.asarray(alpha)
 
-    def evaluate(self, coefficients: Array, bandwidth: Array) -> Iterate:
-        """Propagates the exact tube and evaluates cost and constraints."""
+    def evaluate(
+        self, coefficients: Array, bandwidth: Array, *, hint: Halfplanes | None = None
+    ) -> Iterate:
+        """Propagates the exact tube and evaluates cost and constraints.
+
+        Args:
+            coefficients: of y*.
+            bandwidth: at the knots.
+            hint: half-planes to take where they part more than those found here.
+        """
         p, n = self.problem, self.order
         windows = splines.windows(coefficients, self.degree)
         half = (self._half_basis @ windows).reshape(-1, n + 1, self.outputs)
@@ -395,7 +411,7 @@ class Transcription:
             local=local,
             controls=controls,
             tube_controls=tube_controls,
-            planes=self._halfplanes(controls, tube_controls),
+            planes=self._halfplanes(controls, tube_controls, hint),
             speed_margin=speed_margin,
             input_margin=p.input_limit * (1 - INPUT_HAIR) - used_input,
             error_margin=self.error_margin(nodes[:, :n], tube.error_bound),
@@ -559,7 +575,9 @@ class Transcription:
 
     # Obstacles.
 
-    def _halfplanes(self, controls: Array, tube: Array) -> Halfplanes:
+    def _halfplanes(
+        self, controls: Array, tube: Array, hint: Halfplanes | None
+    ) -> Halfplanes:
         """The best separating half-plane of every near piece and obstacle."""
         obstacles = self.problem.obstacles
         offsets = obstacles.offsets(controls).swapaxes(1, 2)
@@ -577,6 +595,17 @@ class Transcription:
             # The size depends on the normal: a second pass settles it.
             size = np.einsum("pci,pi->pc", boxes, np.abs(normal))
             normal = separating_normals(hull, size)
+        found = self._margins(controls, tube, piece, obstacle, normal)
+        exact = self.problem.tube_margin == "norm" and obstacles.shape.shape[1] == 2
+        if hint is None or exact:
+            return found
+        place = np.full((self.intervals, len(obstacles)), -1)
+        place[hint.piece, hint.obstacle] = np.arange(len(hint.piece))
+        known = place[piece, obstacle]
+        other = np.where((known >= 0)[:, None], hint.normal[known], normal)
+        hinted = self._margins(controls, tube, piece, obstacle, other)
+        better = hinted.margin.min(axis=1) > found.margin.min(axis=1)
+        normal = np.where(better[:, None], other, normal)
         return self._margins(controls, tube, piece, obstacle, normal)
 
     def margins(self, iterate: Iterate, planes: Halfplanes) -> Halfplanes:
