@@ -192,3 +192,24 @@ def test_a_cruise_near_the_inputs_limit_converges_in_a_few_programs():
     result = plan(straight_cruise(6.0))
     assert result.certified, result.message
     assert len(result.history) <= 12
+
+
+@pytest.mark.parametrize("tube_margin", ["norm", "support"])
+def test_turning_half_planes_are_predicted_to_first_order(tube_margin):
+    """With `support` the tube's extent turns with its half-plane."""
+    scenario = load_scenario("known_environment")
+    scenario.planner.tube_margin = tube_margin
+    tr = Transcription(Problem.from_scenario(scenario), 28)
+    wiggle = 0.3 * np.sin(np.arange(29 + 2)[:, None] + np.arange(3))
+    coefficients, bandwidth = tr.straight_line()
+    base = tr.evaluate(tr.with_ends(coefficients + wiggle), bandwidth)
+    variables = Variables(tr, planes=len(base.planes.piece), kinked=np.zeros(0, int))
+    z = np.zeros(variables.size)
+    z[variables.blocks["rotation"]] = 1e-3
+    with borrowed(variables.layout) as solver:
+        program = Program(tr, variables, solver, accuracy=1e-6)
+        program.update(base, Shape())
+    promised, actual = program.margins_after(z, base)
+    assert len(base.planes.piece) > 20
+    assert np.abs(promised - program.margins_now).max() > 5e-4
+    assert np.abs(promised - actual).max() < 2e-5

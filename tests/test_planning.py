@@ -340,10 +340,12 @@ def test_transitions_are_the_derivative_of_the_exact_tube():
     assert actual == pytest.approx(predicted, rel=1e-2)
 
 
+@pytest.mark.parametrize("tube_margin", ["norm", "support"])
 @pytest.mark.parametrize("drag_error_bound", [0.0, 0.2])
-def test_a_program_predicts_every_limit_to_first_order(drag_error_bound):
+def test_a_program_predicts_every_limit_to_first_order(drag_error_bound, tube_margin):
     """Between the knots too, across the kinks of |v|, and with turning half-planes."""
     scenario = load_scenario("known_environment")
+    scenario.planner.tube_margin = tube_margin
     scenario.model.drag_error_bound = drag_error_bound
     scenario.limits.input = 4.0
     tr = Transcription(Problem.from_scenario(scenario), 28)

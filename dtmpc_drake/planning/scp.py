@@ -278,7 +278,7 @@ class Program:
             self._input_rows(iterate, self._input_nodes, sensitivity, secant),
             trusted,
             self._speed_rows(self._speeds, rate),
-            self._halfplane_rows(self._planes),
+            self._halfplane_rows(iterate, self._planes),
         ]
         here = self._hard_margin = self._hard_margins(iterate, self._planes.margin)
         for values, columns in blocks:
@@ -456,7 +456,9 @@ class Program:
         columns = [own * tr.outputs + axis[:, None], reads[piece], reads[piece + 1]]
         return np.concatenate(values, axis=1), np.concatenate(columns, axis=1)
 
-    def _halfplane_rows(self, planes: Halfplanes) -> tuple[Array, Array]:
+    def _halfplane_rows(
+        self, iterate: Iterate, planes: Halfplanes
+    ) -> tuple[Array, Array]:
         """Values and columns of every half-plane at every control point."""
         tr, v = self.transcription, self.variables
         controls, count = tr.position_basis.shape
@@ -473,6 +475,13 @@ class Program:
         if free:
             tangents = tangent_space(planes.normal[:free])
             turn[:free] = np.einsum("pci,pti->pct", planes.hull[:free], tangents)
+            if tr.problem.tube_margin == "support":
+                # |H'ν| Ω turns, too; in its kinks it has no slope.
+                sign = np.sign(normal[:free]) * (np.abs(normal[:free]) > 1e-6)
+                by_turn = np.einsum("pij,pti->ptj", H[:free], tangents)
+                by_turn = by_turn * sign[:, None]
+                tubes = iterate.tube_controls[planes.piece[:free]]
+                turn[:free] -= tubes @ by_turn.swapaxes(1, 2)
             rotation[:free] += np.arange(free * v.tangents).reshape(free, -1)
         values = np.concatenate(
             [position.reshape(P, controls, count * m), -tube, turn], axis=2

@@ -597,7 +597,7 @@ class Transcription:
             normal = separating_normals(hull, size)
         found = self._margins(controls, tube, piece, obstacle, normal)
         exact = self.problem.tube_margin == "norm" and obstacles.shape.shape[1] == 2
-        if hint is None or exact:
+        if hint is None or exact or not len(hint.piece):
             return found
         place = np.full((self.intervals, len(obstacles)), -1)
         place[hint.piece, hint.obstacle] = np.arange(len(hint.piece))
