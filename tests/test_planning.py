@@ -9,7 +9,7 @@ import pytest
 
 from dtmpc_drake.models import DragDoubleIntegrator
 from dtmpc_drake.obstacles import Cylinder, Sphere
-from dtmpc_drake.planning import Problem, certify, plan, plan_problem
+from dtmpc_drake.planning import Problem, certify, plan, plan_problem, planner
 from dtmpc_drake.planning.qp import borrowed
 from dtmpc_drake.planning.scp import Program, Shape, kinked_coordinates, tangent_space
 from dtmpc_drake.planning.sensitivity import transitions
@@ -17,6 +17,7 @@ from dtmpc_drake.planning.transcription import Transcription, separating_normals
 from dtmpc_drake.planning.variables import Variables
 from dtmpc_drake.scenario import Planner, Scenario, Waypoint, load_scenario
 from tests.models_for_tests import PlanarOnSlope, ThirdOrderPlanar, make_problem
+from tests.test_random_scenarios import random_scenario
 
 
 @pytest.fixture(scope="module")
@@ -388,3 +389,16 @@ def test_tangents_are_square_to_their_normal(rows):
     gram = np.einsum("pti,psi->pts", tangents, tangents)
     expected = np.broadcast_to(np.eye(rows - 1), gram.shape)
     np.testing.assert_allclose(gram, expected, atol=1e-12)
+
+
+def test_a_tube_that_is_sampled_too_coarsely_is_sampled_finer(monkeypatch):
+    """Δ(x*) has kinks that coarse samples round off, in the plan's own bandwidth."""
+    scenario = random_scenario(162)
+    finer = plan(scenario)
+    monkeypatch.setattr(planner, "OF_THE_SAMPLES", frozenset())
+    coarse = plan(scenario)
+    assert coarse.status == "not_certified"
+    assert set(coarse.certificate.broken) <= {"tube", "bandwidth_knots"}
+    assert finer.certified
+    np.testing.assert_array_equal(finer.plan.coefficients, coarse.plan.coefficients)
+    assert len(finer.plan.tube_times) == 2 * len(coarse.plan.tube_times) - 1

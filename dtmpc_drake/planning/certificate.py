@@ -78,9 +78,9 @@ class Certificate:
         return self.kept and self.bounds_proven
 
     @property
-    def broken(self) -> frozenset[str]:
+    def broken(self) -> tuple[str, ...]:
         """Names of the margins that are not kept."""
-        return frozenset(name for name, m in self.margins.items() if not m.kept)
+        return tuple(name for name, m in self.margins.items() if not m.kept)
 
     @property
     def worst(self) -> tuple[str, Margin]:

@@ -292,10 +292,11 @@ class _Program:
         coefficients, alpha = (
             self._block(z, name) for name in ("coefficients", "bandwidth")
         )
-        before = self._guess.planes
-        rotation = z[self.layout.blocks["rotation"]].reshape(len(before.piece), -1)
-        normal = turned(before.normal, rotation)
-        hint = dataclasses.replace(before, normal=normal)
+        hint, blocks = self._guess.planes, self.layout.blocks
+        if len(hint.piece):
+            rotation = z[blocks["rotation"]].reshape(len(hint.piece), -1)
+            normal = turned(hint.normal, rotation)
+            hint = dataclasses.replace(hint, normal=normal)
         with np.errstate(all="ignore"):  # an iterate that diverges may overflow
             return tr.evaluate(coefficients, tr.feasible_bandwidth(alpha), hint=hint)
 

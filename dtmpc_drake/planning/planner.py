@@ -216,7 +216,7 @@ def plan_problem(
     before = time.perf_counter()
     attempt = transcription.plan(result.iterate)
     certificate = certify(attempt, problem)
-    if certificate.broken and certificate.broken <= OF_THE_SAMPLES:
+    if certificate.broken and OF_THE_SAMPLES.issuperset(certificate.broken):
         # The decisions are good, but the tube that goes with them is too coarse.
         finer = Transcription(problem, transcription.intervals, refinement=2)
         decisions = result.iterate.coefficients, result.iterate.bandwidth
