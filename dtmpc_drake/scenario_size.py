@@ -71,8 +71,8 @@ class Part:
 def tube_steps(scenario: Scenario) -> tuple[int, int]:
     """Steps of the tube in each interval: as it is propagated, and linearised.
 
-    No step is longer than half the time constant of the fastest filter, 1 / (α + nλ),
-    and half that of the bandwidth.
+    No step is longer than half the time constant of the fastest filter, 1 / (α + nλ);
+    of a stiff one, only than half that of the bandwidth.
     """
     interval = scenario.duration / scenario.planner.intervals
     rates = _rates(scenario)
@@ -82,7 +82,8 @@ def tube_steps(scenario: Scenario) -> tuple[int, int]:
 
     bandwidth = sum(v for name, v in rates.items() if name != "controller.slope")
     least = 16 if scenario.model.error_bound_varies and bandwidth * interval > 1 else 8
-    return max(least, steps(sum(rates.values()))), steps(bandwidth)
+    finest, slow = steps(sum(rates.values())), steps(bandwidth)
+    return max(least, finest), slow if finest > 4 * slow else finest
 
 
 def _rates(scenario: Scenario) -> dict[str, float]:

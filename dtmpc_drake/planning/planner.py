@@ -36,7 +36,7 @@ from dtmpc_drake.scenario import Planner, Scenario
 
 Status = Literal["certified", "not_certified", "infeasible", "failed"]
 
-TOLERANCE = 0.02
+TOLERANCE = 0.025
 """Iterations stop when the next one promises less than this part of the cost."""
 COARSEST = 12
 """Grids are halved for a first solution, down to no less than this."""
@@ -299,6 +299,7 @@ def _sequential_convex(
                 tolerance=TOLERANCE,
                 max_iterations=settings.max_iterations if last else COARSE_ITERATIONS,
                 coarse=not last,
+                thorough=warm_start is None,
                 # Rather than insist, look for another way.
                 max_penalty=10 * PENALTY if free else MAX_PENALTY,
             ),

@@ -54,6 +54,8 @@ SECANT = 0.1
 often have a kink at rest; a derivative would not see it, a secant does."""
 ACCURACY, COARSE_ACCURACY = 5e-4, 2e-3
 """Tolerance of the duality gap; a fiftieth of it for feasibility."""
+DOUBT = 0.6
+"""Part of the tolerance that is left where a step was not walked to its end."""
 PROXIMITY = 0.1
 """First weight of the square of the step, at most, after one that failed."""
 MAX_FAILURES = 3
@@ -747,8 +749,8 @@ def _walk(
         merit: at the start.
         predicted: decrease of the merit.
         penalty: of the violation.
-        tries: 2 for ever smaller parts of it, 3 for a second-order correction
-            before that.
+        tries: 1 for the whole step or half of it, 2 for ever smaller parts of it, 3
+            for a second-order correction before that.
         deadline: after which there is no correction.
 
     Returns:
@@ -780,7 +782,7 @@ def _walk(
             # What is of second order shrinks with the square of the step.
             bend = corrected - z
     fraction = 0.5
-    while fraction > SHORTEST:
+    while fraction > (SHORTEST if tries > 1 else 0.3):
         part = fraction * z + fraction**2 * bend
         trial, worst = tried(part)
         if kept(trial, worst, fraction):
@@ -800,12 +802,14 @@ class Effort:
         max_penalty: largest weight of the slack that is tried.
         coarse: solve the programs less accurately, and do without the
             second-order correction of steps that fail.
+        thorough: walk a step that promises little to its last part, too.
     """
 
     tolerance: float
     max_iterations: int
     max_penalty: float = MAX_PENALTY
     coarse: bool = False
+    thorough: bool = True
 
 
 def iterate_to_convergence(
@@ -888,11 +892,10 @@ def _iterate(
         model_cost = program.model_cost(z)
         predicted = merit - (model_cost + shape.penalty * _excess(slack))
         little = effort.tolerance * max(current.cost, 1e-3)
-        # A feasible iterate has only its cost to lose.
-        settled = worst <= BACKOFF and current.cost - model_cost <= little
         # Where there is next to nothing to gain, it is not worth a correction.
-        last = predicted <= little and worst <= BACKOFF
-        tries = 2 if last or effort.coarse else 3
+        last = predicted <= DOUBT * little and worst <= BACKOFF
+        tries = 2 if effort.thorough or not last else 1
+        tries = tries if last or effort.coarse else 3
         step = _walk(
             program, current, z, merit, predicted, shape.penalty, tries, deadline
         )
@@ -922,8 +925,13 @@ def _iterate(
         secant = float(np.clip(moved, SECANT / 20, SECANT))
         shape = dataclasses.replace(shape, secant=secant)
         merits.append(merit)
+        feasible, before = worst <= BACKOFF, current.cost
         current, worst = trial, trial_worst
         stuck = 0 if fraction else stuck + 1
+        # What a program promised that could not keep it may be more than it seems.
+        little = little if fraction == 1.0 else DOUBT * little
+        # A feasible iterate has only its cost to lose.
+        settled = feasible and before - model_cost <= little
         reached = current.cost + shape.penalty * _excess(worst)
         slow = len(merits) > 2 and merits[-3] - reached <= little
         # While programs say that all limits can be kept, they are to be.

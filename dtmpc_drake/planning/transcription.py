@@ -45,6 +45,10 @@ TUBE_STEPS = 8, 16
 second where Δ varies and eight are longer than an eighth of a time constant."""
 
 
+STIFF = 4
+"""From so many steps in place of one the tube's derivatives are found implicitly."""
+
+
 class Guess(Protocol):
     """What iterations may start from: an earlier plan, or what looks like one."""
 
@@ -206,13 +210,14 @@ class Transcription:
         self.bandwidth_change = (1 - HAIR) * min(
             problem.bandwidth_rate_max * self.step, float(high.max())
         )
-        # Steps of the tube of at most half the fastest filter's time constant; those of
-        # its derivatives need only be as short as the bandwidth asks.
-        fastest = problem.bandwidth_max + self.order * problem.slope
+        # Steps of the tube of at most half the fastest filter's time constant.  Those
+        # of its derivatives need only be as short as the bandwidth asks, but then each
+        # costs as much as several explicit ones.
         high = problem.bandwidth_max
-        self.substeps = _power_of_two(self.step * high)
-        finest = _power_of_two(self.step * fastest)
-        self.is_stiff = self.substeps < finest
+        slow = _power_of_two(self.step * high)
+        finest = _power_of_two(self.step * (high + self.order * problem.slope))
+        self.is_stiff = finest > STIFF * slow
+        self.substeps = slow if self.is_stiff else finest
         least, most = TUBE_STEPS
         if model.error_bound_varies:
             # Δ(x*) may have kinks, which parabolas on the steps round off.
