@@ -749,8 +749,8 @@ def _walk(
         merit: at the start.
         predicted: decrease of the merit.
         penalty: of the violation.
-        tries: 1 for the whole step or half of it, 2 for ever smaller parts of it, 3
-            for a second-order correction before that.
+        tries: 1 for the whole step only, 2 for ever smaller parts of it, 3 for a
+            second-order correction before that.
         deadline: after which there is no correction.
 
     Returns:
@@ -782,7 +782,7 @@ def _walk(
             # What is of second order shrinks with the square of the step.
             bend = corrected - z
     fraction = 0.5
-    while fraction > (SHORTEST if tries > 1 else 0.3):
+    while tries > 1 and fraction > SHORTEST:
         part = fraction * z + fraction**2 * bend
         trial, worst = tried(part)
         if kept(trial, worst, fraction):
@@ -802,7 +802,7 @@ class Effort:
         max_penalty: largest weight of the slack that is tried.
         coarse: solve the programs less accurately, and do without the
             second-order correction of steps that fail.
-        thorough: walk a step that promises little to its last part, too.
+        thorough: correct and walk a step that promises little, too.
     """
 
     tolerance: float
@@ -893,7 +893,8 @@ def _iterate(
         predicted = merit - (model_cost + shape.penalty * _excess(slack))
         little = effort.tolerance * max(current.cost, 1e-3)
         # Where there is next to nothing to gain, it is not worth a correction.
-        last = predicted <= DOUBT * little and worst <= BACKOFF
+        enough = DOUBT * little if effort.thorough else little
+        last = predicted <= enough and worst <= BACKOFF
         tries = 2 if effort.thorough or not last else 1
         tries = tries if last or effort.coarse else 3
         step = _walk(
