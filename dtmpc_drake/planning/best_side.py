@@ -335,7 +335,7 @@ def _coarse_intervals(settings: Planner) -> int:
 def _solve_coarsely(
     problem: Problem, settings: Planner, start: str, way: Way, deadline: Deadline
 ) -> _Coarse:
-    transcription = Transcription(problem, _coarse_intervals(settings))
+    transcription = Transcription(problem, _coarse_intervals(settings), reach=0.5)
     if start == STRAIGHT:
         decisions = transcription.straight_line()
     else:
