@@ -43,6 +43,8 @@ BACKOFF = 3e-4
 an iterate that is feasible to this tolerance keeps the limit itself."""
 INPUT_SCALE = 8.0
 """So much violation of the input's limit, in m/s^n, weighs like one metre."""
+INPUT_BACKOFF = 1e-3
+"""The same of the input, so scaled: it peaks between the nodes that are looked at."""
 ROTATION = 1.0
 """Weight of a half-plane's rotation, at least."""
 NEXT_TO_NOTHING = 1e-4
@@ -276,6 +278,7 @@ class Program:
         close[1:, 0] = False  # the last control point of the piece before
         self._speeds = np.nonzero(close)
         rate, trusted = self._by_knot(iterate, secant)
+        asked = [INPUT_BACKOFF, BACKOFF, BACKOFF, BACKOFF]
         blocks = [
             self._input_rows(iterate, self._input_nodes, sensitivity, secant),
             trusted,
@@ -283,12 +286,12 @@ class Program:
             self._halfplane_rows(iterate, self._planes),
         ]
         here = self._hard_margin = self._hard_margins(iterate, self._planes.margin)
-        for values, columns in blocks:
+        for beyond, (values, columns) in zip(asked, blocks, strict=True):
             slack = np.full((len(values), 1), v.size - 1)
             rows.add(
                 np.concatenate([values, np.ones(slack.shape)], axis=1),
                 np.concatenate([columns, slack], axis=1),
-                BACKOFF - here[: len(values)],
+                beyond - here[: len(values)],
             )
             here = here[len(values) :]
 
