@@ -24,6 +24,7 @@ from dtmpc_drake.planning.scp import (
     kinked_coordinates,
     tangent_space,
 )
+from dtmpc_drake.planning.sensitivity import transitions
 from dtmpc_drake.planning.transcription import Transcription
 from dtmpc_drake.planning.variables import Variables
 from dtmpc_drake.scenario import (
@@ -213,3 +214,56 @@ def test_turning_half_planes_are_predicted_to_first_order(tube_margin):
     assert len(base.planes.piece) > 20
     assert np.abs(promised - program.margins_now).max() > 5e-4
     assert np.abs(promised - actual).max() < 2e-5
+
+
+@pytest.mark.parametrize("slope", [2.0, 60.0])
+def test_the_tube_answers_along_each_piece_as_predicted(slope):
+    """Between the knots, too; with a fast cascade the derivatives are implicit."""
+    scenario = load_scenario("unknown_drag")
+    scenario.controller.slope = [slope] * 3
+    tr = Transcription(Problem.from_scenario(scenario), 28)
+    assert tr.is_stiff == (slope > 10)
+    coefficients, bandwidth = tr.straight_line()
+    wave = np.sin(np.arange(len(coefficients))[:, None] + np.arange(3))
+    coefficients = tr.with_ends(coefficients + 0.02 * wave)
+    bandwidth = bandwidth - 1.0
+    base = tr.evaluate(coefficients, bandwidth)
+    sensitivity = transitions(tr, base, secant=1e-6)
+    piece, step = 9, 1e-5
+    S = sensitivity.shape[2]
+    for knot, axis in ((piece, 0), (piece + 1, 1)):
+        moved = bandwidth.copy()
+        moved[knot, axis] += step
+        ahead = tr.evaluate(coefficients, moved)
+        stride = tr.tube_steps // tr.substeps
+        nodes = piece * tr.tube_steps + stride * np.arange(tr.substeps + 1)
+        actual = tr.tube_states(ahead, 1)[nodes] - tr.tube_states(base, 1)[nodes]
+        actual = actual.reshape(len(nodes), S) / step
+        column = S + (knot - piece) * 3 + axis
+        # What the pieces before have left in the states at the start.
+        predicted = sensitivity[piece, :, :, :S] @ actual[0]
+        predicted = predicted + sensitivity[piece, :, :, column]
+        scale = np.abs(actual).max()
+        np.testing.assert_allclose(predicted, actual, atol=0.03 * scale)
+
+
+def test_a_steps_own_half_planes_are_kept_where_they_part_more():
+    scenario = load_scenario("known_environment")
+    scenario.planner.tube_margin = "support"
+    tr = Transcription(Problem.from_scenario(scenario), 28)
+    coefficients, bandwidth = tr.straight_line()
+    wiggle = 0.3 * np.sin(np.arange(len(coefficients))[:, None] + np.arange(3))
+    decisions = tr.with_ends(coefficients + wiggle), bandwidth
+    found = tr.evaluate(*decisions).planes
+    random = np.random.default_rng(5)
+    turned = found.normal + 0.05 * random.normal(size=found.normal.shape)
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    hint = dataclasses.replace(found, normal=turned)
+    hinted = tr.evaluate(*decisions, hint=hint).planes
+    alone = tr.margins(tr.evaluate(*decisions), hint).margin.min(axis=1)
+    best = np.maximum(found.margin.min(axis=1), alone)
+    np.testing.assert_allclose(hinted.margin.min(axis=1), best, atol=1e-12)
+    assert (alone > found.margin.min(axis=1) + 1e-6).any()
+    nothing = hint.nearer_than(-np.inf)
+    same = tr.evaluate(*decisions, hint=nothing).planes
+    np.testing.assert_array_equal(same.normal, found.normal)
