@@ -192,6 +192,21 @@ class Model(abc.ABC):
         eye = np.eye(self.num_outputs)
         return np.broadcast_to(eye, (*x.shape[:-2], *eye.shape))
 
+    def input_for(self, x: Array, demand: Array) -> Array:
+        """The input that B(x) makes a demand of, B(x)⁻¹ demand.
+
+        Args:
+            x: shape ``(..., n, m)``.
+            demand: shape ``(..., m)``, in output unit / s^n.
+
+        Returns:
+            Shape ``(..., m)``.
+        """
+        if self.input_is_identity:
+            return np.asarray(demand)
+        inverse = self.inverse_input_matrix(x)
+        return np.asarray(np.einsum("...ij,...j->...i", inverse, demand))
+
     def inverse_input_deviation(self, x: Array, radius: Array) -> Array:
         """An upper bound of ``|B(x')⁻¹ - B(x)⁻¹|`` over the box, ``(..., m, m)``.
 

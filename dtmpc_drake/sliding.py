@@ -173,7 +173,4 @@ def control(
         - damping
         - gain * saturation(s / boundary_layer)
     )
-    if model.input_is_identity:
-        return np.asarray(demand)
-    inverse = model.inverse_input_matrix(state)
-    return np.asarray(np.einsum("...ij,...j->...i", inverse, demand))
+    return model.input_for(state, demand)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
@@ -9,7 +11,8 @@ from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain, jacobian
 from dtmpc_drake.obstacles import ObstacleSet
 from dtmpc_drake.planning import nlp, plan, plan_problem
-from dtmpc_drake.planning.nlp_rows import ROUNDING, rounded, turned
+from dtmpc_drake.planning.nlp_rows import ROUNDING, rounded
+from dtmpc_drake.planning.scp import turned
 from dtmpc_drake.planning.transcription import Transcription
 from dtmpc_drake.scenario import Cylinder, Planner, load_scenario
 from tests.models_for_tests import every_model, make_problem, name_of
@@ -173,3 +176,20 @@ def test_a_kink_is_rounded_off_from_above_and_odd_functions_are_left_alone():
     assert bend.max() < 1.01 / ROUNDING
     odd = rounded(lambda x: x[..., :1] ** 3, signed=1, size=2)
     np.testing.assert_array_equal(odd(x), x[:, :1] ** 3)
+
+
+def test_both_backends_look_at_the_speed_in_parts_of_its_limit():
+    """Not in m/s: a limit ten times as high is near ten times as early."""
+    problem = make_problem(IntegratorChain(2, 2, 0.1))
+    fast = dataclasses.replace(problem, speed_limit=10 * problem.speed_limit)
+    for each in (problem, fast):
+        tr = Transcription(each, 16)
+        iterate = tr.evaluate(*tr.straight_line())
+        room = np.linspace(0, each.speed_limit, iterate.speed_margin.size)
+        margin = room.reshape(iterate.speed_margin.shape)
+        near = tr.near_the_speed_limit(
+            dataclasses.replace(iterate, speed_margin=margin)
+        )
+        allowed = margin[near].max() / each.speed_limit
+        assert 0.2 < allowed < 0.3
+        assert not near[1:, 0].any() and near[0, 0].any()

@@ -42,7 +42,7 @@ def test_slopes_at_one_instant_are_those_of_the_transcription(model):
         feedforward_slopes(model, local, 1e-5), of(transcription.feedforward), **close
     )
     np.testing.assert_allclose(
-        slopes.used_input,
+        slopes.along(slopes.steepest),
         of(lambda at: transcription.used_input(at)[..., None])[:, 0],
         **close,
     )

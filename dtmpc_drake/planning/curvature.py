@@ -23,10 +23,10 @@ from dtmpc_drake.planning.variables import Variables
 
 SMALLEST_HIGHEST = 0.05
 """Norms of y*^(n) below this are taken for it: they bend without limit at zero."""
-LOSS = 0.25
-"""Part of what turning a half-plane loses that is priced."""
 SMALLEST_SIZE = 1e-3
 """The same of the tube's size, in m."""
+LOSS = 0.25
+"""Part of what turning a half-plane loses that is priced."""
 
 
 @dataclasses.dataclass(frozen=True)

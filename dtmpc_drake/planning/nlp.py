@@ -22,18 +22,17 @@ from dtmpc_drake.planning.deadline import NEVER, Deadline
 from dtmpc_drake.planning.nlp_rows import (
     AtKnots,
     Collocation,
-    Layout,
-    Rows,
+    NlpRows,
+    NlpVariables,
     Separation,
     add_squares,
     bound_rows,
-    turned,
 )
 from dtmpc_drake.planning.scp import (
     BACKOFF,
-    SPEED_REACH,
     Iteration,
     Result,
+    turned,
     violation,
 )
 from dtmpc_drake.planning.transcription import Iterate, Local, Transcription
@@ -84,7 +83,7 @@ class _Program:
     ) -> None:
         tr, p = transcription, transcription.problem
         self.transcription, self._guess = tr, guess
-        self.layout = layout = Layout(tr, planes=len(guess.planes.piece))
+        self.layout = layout = NlpVariables(tr, planes=len(guess.planes.piece))
         self.program = MathematicalProgram()
         self.x = self.program.NewContinuousVariables(layout.size, "x")
         self.scale = np.ones(layout.size)
@@ -111,7 +110,7 @@ class _Program:
         self._add_cost()
 
     def _bound(
-        self, rows: Rows, shift: Array, low: Array | float, high: Array | float
+        self, rows: NlpRows, shift: Array, low: Array | float, high: Array | float
     ) -> None:
         bound_rows(
             self.program,
@@ -217,11 +216,10 @@ class _Program:
         """Where it comes near its limit; later rounds see where else."""
         tr, layout, margin = self.transcription, self.layout, self._guess.speed_margin
         n, m = tr.order, tr.outputs
-        near = margin < SPEED_REACH
         if n == 1:  # the speed at the knots, and a bound that is no state
             at_knots = np.concatenate([margin[:, 0], margin[-1:, 1]])
             self._add_limit(
-                np.flatnonzero((at_knots < SPEED_REACH).any(axis=(1, 2))),
+                np.flatnonzero((at_knots < tr.speed_reach).any(axis=(1, 2))),
                 lambda local: np.stack(
                     [
                         tr.used_rate(local) + local.highest,
@@ -232,7 +230,7 @@ class _Program:
                 at_knots.reshape(len(at_knots), -1),
             )
             return
-        near[1:, 0] = False  # the last control point of the piece before
+        near = tr.near_the_speed_limit(self._guess)
         count = tr.speed_basis.shape[1]
         first = np.arange(tr.intervals)
         reads = np.concatenate(

@@ -17,7 +17,7 @@ from pydrake.solvers import MathematicalProgram
 
 from dtmpc_drake.models import Array, euclidean_norm, jacobian
 from dtmpc_drake.planning import splines
-from dtmpc_drake.planning.scp import tangent_space
+from dtmpc_drake.planning.scp import tangent_space, turned
 from dtmpc_drake.planning.transcription import Iterate, Local, Transcription
 from dtmpc_drake.planning.variables import Variables
 
@@ -28,7 +28,7 @@ TURN_ROUNDING = 0.01
 """The same for a half-plane's normal along an axis."""
 
 
-class Layout(Variables):
+class NlpVariables(Variables):
     """The convex programs' z, with y*^(n) at the knots as a block of its own.
 
     The cost is nearly a sum of squares of these, which is what a quasi-Newton
@@ -70,7 +70,7 @@ class Layout(Variables):
         return z
 
 
-class Rows(abc.ABC):
+class NlpRows(abc.ABC):
     """Like rows, evaluated together.
 
     Attributes:
@@ -92,7 +92,7 @@ class Rows(abc.ABC):
 
 def bound_rows(
     program: MathematicalProgram,
-    rows: Rows,
+    rows: NlpRows,
     x: Array,
     *,
     scale: Array,
@@ -133,7 +133,7 @@ def bound_rows(
 
 def add_squares(
     program: MathematicalProgram,
-    rows: Rows,
+    rows: NlpRows,
     x: Array,
     *,
     scale: Array,
@@ -156,7 +156,7 @@ def add_squares(
 
 
 def _inputs(
-    rows: Rows, scale: Array, shift: Array
+    rows: NlpRows, scale: Array, shift: Array
 ) -> tuple[Array, Array, Callable[[Array], Array]]:
     """Entries of z that rows use, where each row's are among them, and z by x."""
     used, place = np.unique(rows.columns, return_inverse=True)
@@ -170,7 +170,7 @@ def _inputs(
     return used, place.reshape(rows.columns.shape), values_of
 
 
-class Collocation(Rows):
+class Collocation(NlpRows):
     """The tube's differential equation dx/dt = f by Hermite-Simpson.
 
     ``x_1 - x_0 = h/6 (f_0 + 4 f(x_m) + f_1)`` on every piece with
@@ -183,7 +183,7 @@ class Collocation(Rows):
     """
 
     def __init__(
-        self, transcription: Transcription, layout: Layout, pieces: Array
+        self, transcription: Transcription, layout: NlpVariables, pieces: Array
     ) -> None:
         tr = transcription
         n, m = tr.order, tr.outputs
@@ -254,7 +254,7 @@ class Collocation(Rows):
         return np.asarray(slopes.reshape(self.columns.shape))
 
 
-class AtKnots(Rows):
+class AtKnots(NlpRows):
     """Any function of what enters at one instant, at some knots.
 
     Args:
@@ -267,7 +267,7 @@ class AtKnots(Rows):
     def __init__(
         self,
         transcription: Transcription,
-        layout: Layout,
+        layout: NlpVariables,
         knots: Array,
         function: Callable[[Local], Array],
     ) -> None:
@@ -295,7 +295,7 @@ class AtKnots(Rows):
         return np.asarray(slopes.reshape(self.columns.shape))
 
 
-class Separation(Rows):
+class Separation(NlpRows):
     """Margins of half-planes that part pieces from obstacles, and may turn.
 
     Each normal is `turned` from the guess's, so that its length needs no row.
@@ -311,7 +311,7 @@ class Separation(Rows):
     def __init__(
         self,
         transcription: Transcription,
-        layout: Layout,
+        layout: NlpVariables,
         guess: Iterate,
         which: Array,
     ) -> None:
@@ -392,22 +392,11 @@ class Separation(Rows):
         states = np.einsum("pcj,cjs->pcs", by_tube, self._tube)
         turn = np.einsum("pci,pti->pct", hull, by_turn)
         if not self._norm:
-            turned = np.einsum("pij,pti->ptj", self._shape, by_turn)
-            turn = turn - np.einsum("pcj,ptj->pct", by_direction, turned)
+            direction = np.einsum("pij,pti->ptj", self._shape, by_turn)
+            turn = turn - np.einsum("pcj,ptj->pct", by_direction, direction)
         P, c = hull.shape[:2]
         slopes = np.concatenate([position.reshape(P, c, -1), -states, turn], axis=2)
         return np.asarray(slopes.reshape(self.columns.shape))
-
-
-def turned(normal: Array, rotation: Array) -> Array:
-    """Unit normals ``(ν + Σ t_j τ_j) / sqrt(1 + t't)`` with tangents τ.
-
-    Args:
-        normal: ν, ``(P, rows)``.
-        rotation: t, ``(P, rows - 1)``.
-    """
-    moved = normal + np.einsum("pt,pti->pi", rotation, tangent_space(normal))
-    return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
 
 
 def rounded(

@@ -168,10 +168,14 @@ class QuadraticProgram:
             hessian, gradient = np.zeros((size, size)), np.zeros(size)
             np.fill_diagonal(hessian[:own, :own], diagonal)
             blocks = np.lib.stride_tricks.as_strided(
-                hessian, (count, width, width), (stride * (8 * size + 8), 8 * size, 8)
+                hessian,
+                (count, width, width),
+                (stride * sum(hessian.strides), *hessian.strides),
             )
             pieces = np.lib.stride_tricks.as_strided(
-                gradient, (count, width), (stride * 8, 8)
+                gradient,
+                (count, width),
+                (stride * gradient.itemsize, gradient.itemsize),
             )
             for i in range(min(apart, count)):
                 blocks[i::apart] += quadratic[part][i::apart]

@@ -8,6 +8,7 @@ no interior.
 from __future__ import annotations
 
 import dataclasses
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -27,7 +28,7 @@ class Assembled:
     low: Array
     high: Array
 
-    __hash__ = None  # type: ignore[assignment]
+    __hash__: ClassVar[None]  # type: ignore[assignment]
 
     @property
     def finite(self) -> bool:

@@ -39,8 +39,8 @@ PENALTY = 1e3
 """First weight of the slack; raised while a converged plan still needs slack."""
 MAX_PENALTY = 1e6
 BACKOFF = 3e-4
-"""How much the programs ask for beyond every limit, in m, m/s and m/s², so that
-an iterate that is feasible to this tolerance keeps the limit itself."""
+"""How much the programs ask for beyond every limit, in m and m/s and of the input by
+`INPUT_SCALE`, so that an iterate that is feasible to this keeps the limit itself."""
 INPUT_SCALE = 8.0
 """So much violation of the input's limit, in m/s^n, weighs like one metre."""
 INPUT_BACKOFF = 1e-3
@@ -66,7 +66,7 @@ SHORTEST = 0.02
 """Steps are not walked by less than this fraction."""
 RATE_REACH = 0.5
 """Bandwidth rates below this part of their limit are left to the projection."""
-SPEED_REACH, INPUT_REACH = 0.28, 0.2
+INPUT_REACH = 0.2
 """Knots with more margin than this part of the limit are left out of a program."""
 BETWEEN, BETWEEN_REACH = 4, 0.06
 """Parts of a piece at whose ends the input is limited too, and with which margin."""
@@ -105,7 +105,8 @@ class Iteration:
     Attributes:
         intervals: of the grid that was used.
         cost: of the iterate that the step led to.
-        violation: worst true constraint violation there, in m, m/s or m/s².
+        violation: worst true constraint violation there, in m or m/s, the input's
+            divided by `INPUT_SCALE`.
         slack: that the convex program needed.
         defect: largest difference between the program's tube and the exact
             tube at the new iterate, in m.
@@ -232,7 +233,7 @@ class Program:
         by = sensitivity[piece, state]
         values = np.concatenate([np.ones(after.shape), -by], axis=1)
         equations.equate(values, columns, 0.0)
-        used = rows.reads() | equations.reads()
+        used = reads | equations.reads()
         self._add_moves(rows, used[v.move_columns])
 
     def _add_moves(self, rows: Rows, used: Array) -> None:
@@ -274,9 +275,7 @@ class Program:
         tr, v = self.transcription, self.variables
         self._input_nodes = self._nodes_near_the_input_limit(iterate)
         self._cuts = self._apex_cuts(iterate)
-        close = iterate.speed_margin < SPEED_REACH * tr.reach * tr.problem.speed_limit
-        close[1:, 0] = False  # the last control point of the piece before
-        self._speeds = np.nonzero(close)
+        self._speeds = np.nonzero(tr.near_the_speed_limit(iterate))
         rate, trusted = self._by_knot(iterate, secant)
         asked = [INPUT_BACKOFF, BACKOFF, BACKOFF, BACKOFF]
         blocks = [
@@ -342,11 +341,7 @@ class Program:
         """B⁻¹ y*^(n) at the input's nodes, ``(p, m)``."""
         tr = self.transcription
         at = iterate.reference[2 * self._input_nodes]
-        highest = at[:, tr.order]
-        if tr.problem.model.input_is_identity:
-            return np.asarray(highest)
-        inverse = tr.problem.model.inverse_input_matrix(at[:, : tr.order])
-        return np.asarray((inverse @ highest[..., None])[..., 0])
+        return tr.problem.model.input_for(at[:, : tr.order], at[:, tr.order])
 
     def _cut_margins(self, iterate: Iterate) -> Array:
         """Margins of the input's limit with u'v for the norm of v, ``(c,)``."""
@@ -377,8 +372,7 @@ class Program:
         slopes = limit_slopes(tr.problem, local, secant)
         cut, direction = self._cuts
         each = np.concatenate([np.arange(len(nodes)), cut])
-        along = slopes.nominal / euclidean_norm(slopes.nominal)[:, None]
-        along = np.concatenate([along, direction])
+        along = np.concatenate([slopes.steepest, direction])
         slope = Local.unpack(slopes.rows(each).along(along), n, m)
         nodes = nodes[each]
         rows = np.concatenate([slope.state, slope.highest[:, None]], axis=1)
@@ -600,8 +594,7 @@ class Program:
         free = min(len(normal), v.num_planes) if v.tangents else 0
         if free:
             turn = z[v.blocks["rotation"]].reshape(-1, v.tangents)[:free]
-            normal[:free] += np.einsum("pt,pti->pi", turn, tangent_space(normal[:free]))
-            normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+            normal[:free] = turned(normal[:free], turn)
         return dataclasses.replace(self._planes, normal=normal)
 
     def decided(self, z: Array) -> Array:
@@ -677,6 +670,17 @@ def tangent_space(normal: Array) -> Array:
     outer = mirror[:, :, None] * mirror[:, None, :]
     size = (mirror**2).sum(1)[:, None, None]
     return np.asarray((np.eye(rows) - 2 * outer / size)[:, 1:])
+
+
+def turned(normal: Array, rotation: Array) -> Array:
+    """Unit normals ``(ν + Σ t_j τ_j) / sqrt(1 + t't)`` with tangents τ.
+
+    Args:
+        normal: ν, ``(P, rows)``.
+        rotation: t, ``(P, rows - 1)``.
+    """
+    moved = normal + np.einsum("pt,pti->pi", rotation, tangent_space(normal))
+    return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
 
 
 def kinked_coordinates(transcription: Transcription) -> Array:
@@ -853,20 +857,20 @@ def iterate_to_convergence(
         )
         if multipliers is not None:
             program.multipliers = multipliers.refined(tr)
-        result = _iterate(program, current, effort, report, deadline)
+        result = _iterate(program, current, worst, effort, report, deadline)
         return dataclasses.replace(result, multipliers=program.multipliers)
 
 
 def _iterate(
     program: Program,
     current: Iterate,
+    worst: float,
     effort: Effort,
     report: Callable[[Iteration], None],
     deadline: Deadline,
 ) -> Result:
-    """The iterations themselves."""
+    """The iterations themselves, from an iterate with this worst violation."""
     tr, clock = program.transcription, time.perf_counter
-    worst = violation(current)
     merits: list[float] = []
     stuck = failures = 0
     shape = Shape(rigid=worst < RIGID)

@@ -109,10 +109,9 @@ class LimitSlopes:
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
     @property
-    def used_input(self) -> Array:
-        """Of the bound of the input's norm, ``(K, L)``."""
-        along = self.nominal / euclidean_norm(self.nominal)[:, None]
-        return self.along(along)
+    def steepest(self) -> Array:
+        """The direction in which ‖B⁻¹ y*^(n)‖ grows, ``(K, m)``; see `along`."""
+        return np.asarray(self.nominal / euclidean_norm(self.nominal)[:, None])
 
     def rows(self, which: Array) -> LimitSlopes:
         """Those at some of the instants."""
@@ -120,10 +119,11 @@ class LimitSlopes:
         return LimitSlopes(**{f.name: getattr(self, f.name)[which] for f in fields})
 
     def along(self, direction: Array) -> Array:
-        """Of that bound with u'B⁻¹ y*^(n) for its norm, ``(K, L)``.
+        """Of the input's bound with u'B⁻¹ y*^(n) for its first norm, ``(K, L)``.
 
         Args:
-            direction: unit vectors u, ``(K, m)``.
+            direction: unit vectors u, ``(K, m)``; with `steepest` it is the bound's
+                own derivative.
         """
         nominal = (direction[:, None] @ self.by_nominal)[:, 0]
         return np.asarray(nominal + self.by_reaction)
@@ -212,15 +212,18 @@ def limit_slopes(problem: Problem, local: Local, secant: float) -> LimitSlopes:
     by_model = np.einsum("kijl,kj->kil", by_inverse, highest)
     by_nominal = _by_local(local, by_model, inverse + nothing, nothing)
 
-    # Corollary 1, as in `tightening.rate_bound`.
-    rate = _by_local(local, 2 * by_largest - by_own, nothing, nothing + np.eye(m))
+    # Corollary 1, as in `tightening.rate_bound`; beyond n = 1 it is a state.
+    of_rate = slice(m if n == 1 else 0)
+    by_rate = (2 * by_largest - by_own)[:, of_rate]
     _, by_true = parts["true"]
     none = nothing[:, : by_true.shape[1]]
     return LimitSlopes(
         nominal=nominal,
         by_nominal=by_nominal,
         by_reaction=reacting[:, 0],
-        used_rate=rate[:, : m if n == 1 else 0],
+        used_rate=_by_local(
+            local, by_rate, nothing[:, of_rate], (nothing + np.eye(m))[:, of_rate]
+        ),
         error_margin=_by_local(local, -by_true, none, none),
     )
 

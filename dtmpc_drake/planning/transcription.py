@@ -38,13 +38,14 @@ SPEED_HAIR = 1e-3
 REACH, REACH_OF_A_STEP = 0.8, 0.32
 """Pieces and obstacles that are further apart have no half-plane: in m, or in parts of
 what the speed limit allows between two knots if that is more."""
+SPEED_REACH = 0.28
+"""Control points of the speed with more margin than this part of its limit are left
+out of the programs."""
 BLEND = 0.125
 """Part of the way, at each end, in which a start is bent to meet the ends."""
 TUBE_STEPS = 8, 16
 """Steps of the tube in each interval, at least; the half grid has twice as many.  The
 second where Δ varies and eight are longer than an eighth of a time constant."""
-
-
 STIFF = 4
 """From so many steps in place of one the tube's derivatives are found implicitly."""
 
@@ -132,6 +133,20 @@ class Halfplanes:
         fields = dataclasses.fields(self)
         return Halfplanes(**{f.name: getattr(self, f.name)[near] for f in fields})
 
+    def where(self, these: Array, other: Halfplanes) -> Halfplanes:
+        """Those of these places, ``(P,)``, and the others of another set elsewhere."""
+
+        def chosen(mine: Array, others: Array) -> Array:
+            return np.where(these.reshape(-1, *(1,) * (mine.ndim - 1)), mine, others)
+
+        names = [field.name for field in dataclasses.fields(self)]
+        return Halfplanes(
+            **{
+                name: chosen(getattr(self, name), getattr(other, name))
+                for name in names
+            }
+        )
+
 
 @dataclasses.dataclass(frozen=True)
 class Iterate:
@@ -196,6 +211,7 @@ class Transcription:
         self.step = problem.duration / intervals
         far = REACH_OF_A_STEP * problem.speed_limit * self.step
         self.obstacle_reach = reach * max(REACH, far)
+        self.speed_reach = reach * SPEED_REACH * problem.speed_limit
         self.degree = self.order + 1
         self.control_degree = max(self.degree, 3)
         self.knots: Array = problem.start_time + self.step * np.arange(intervals + 1)
@@ -389,14 +405,7 @@ class Transcription:
             disturbance_bound=p.disturbance_bound,
         )
         at_knots = slice(None, None, self.tube_steps)
-        knots = nodes[at_knots]
-        local = Local(
-            state=knots[:, :n],
-            highest=knots[:, n],
-            layer=tube.boundary_layer[at_knots],
-            bandwidth=bandwidth,
-            error_bound=tube.error_bound[at_knots],
-        )
+        local = self._local(reference, tube, bandwidth, at_knots)
         rate_chord = self._chord(used_rate[at_knots], n)
         speed_controls = self.speed_basis @ windows
         # Where the knots under-represent a piece, take off the difference.
@@ -434,13 +443,19 @@ class Transcription:
         piece, later = self.within(nodes)
         alpha = iterate.bandwidth
         between = alpha[piece] + later[:, None] * (alpha[piece + 1] - alpha[piece])
-        state = iterate.reference[2 * nodes]
+        return self._local(iterate.reference, iterate.tube, between, nodes)
+
+    def _local(
+        self, reference: Array, tube: Tube, bandwidth: Array, nodes: Array | slice
+    ) -> Local:
+        """What enters at some nodes, the bandwidth there given."""
+        state = reference[::2][nodes]
         return Local(
             state=state[:, : self.order],
             highest=state[:, self.order],
-            layer=iterate.tube.boundary_layer[nodes],
-            bandwidth=between,
-            error_bound=iterate.tube.error_bound[nodes],
+            layer=tube.boundary_layer[nodes],
+            bandwidth=bandwidth,
+            error_bound=tube.error_bound[nodes],
         )
 
     def within(self, nodes: Array) -> tuple[Array, Array]:
@@ -454,10 +469,14 @@ class Transcription:
         Args:
             nodes: of the fine grid.
         """
-        half = self._half_basis.reshape(-1, self.order + 1, self.degree + 1)
-        whole = np.concatenate([half[::2], self._end_basis[None]])
         piece, _ = self.within(nodes)
-        return np.asarray(whole[nodes - piece * self.tube_steps])
+        return np.asarray(self._node_basis[nodes - piece * self.tube_steps])
+
+    @cached_property
+    def _node_basis(self) -> Array:
+        """The basis at the nodes of any piece, both its ends included."""
+        half = self._half_basis.reshape(-1, self.order + 1, self.degree + 1)
+        return np.concatenate([half[::2], self._end_basis[None]])
 
     def _cost(self, local: Local, bandwidth: Array) -> float:
         p = self.problem
@@ -478,6 +497,12 @@ class Transcription:
         """How far each piece rises above its chord, ``(N, ...)``."""
         chord = self._chord(nodes[:: self.tube_steps], self.tube_steps)
         return np.asarray((self.pieces(nodes) - chord).max(axis=1))
+
+    def near_the_speed_limit(self, iterate: Iterate) -> Array:
+        """Which control points of the speed enter the programs, as `speed_margin`."""
+        near = iterate.speed_margin < self.speed_reach
+        near[1:, 0] = False  # the last control point of the piece before
+        return np.asarray(near)
 
     def pieces(self, nodes: Array) -> Array:
         """Node values piece by piece, both ends included."""
@@ -502,11 +527,7 @@ class Transcription:
     def feedforward(self, local: Local) -> Array:
         """u* = B⁻¹ (y*^(n) - F̂(x*)), ``(..., m)``."""
         model = self.problem.model
-        demand = local.highest - model.drift(local.state)
-        if model.input_is_identity:
-            return np.asarray(demand)
-        inverse = model.inverse_input_matrix(local.state)
-        return np.asarray((inverse * demand[..., None, :]).sum(axis=-1))
+        return model.input_for(local.state, local.highest - model.drift(local.state))
 
     def used_input(self, local: Local) -> Array:
         """The bound of the input's norm, ``(...)``."""
@@ -609,9 +630,7 @@ class Transcription:
         known = place[piece, obstacle]
         other = np.where((known >= 0)[:, None], hint.normal[known], normal)
         hinted = self._margins(controls, tube, piece, obstacle, other)
-        better = hinted.margin.min(axis=1) > found.margin.min(axis=1)
-        normal = np.where(better[:, None], other, normal)
-        return self._margins(controls, tube, piece, obstacle, normal)
+        return hinted.where(hinted.margin.min(axis=1) > found.margin.min(axis=1), found)
 
     def margins(self, iterate: Iterate, planes: Halfplanes) -> Halfplanes:
         """The same half-planes at another iterate."""
