@@ -13,7 +13,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	touch $@
 
 demo: $(VENV)/.installed
-	$(BIN)/python -m diagrams simulate known_environment
+	$(BIN)/python -m dtmpc_drake simulate known_environment
 
 test: $(VENV)/.installed
 	$(BIN)/python -m pytest -n 2

@@ -3,7 +3,7 @@
 Run it with ``python -m diagrams.state_dependent_uncertainty``.
 """
 
-from diagrams.experiment import Experiment, run
+from dtmpc_drake.experiments.simulate import Experiment, run
 from dtmpc_drake.scenario import load_scenario
 
 

@@ -10,7 +10,7 @@ import pytest
 from dtmpc_drake.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
-    from dtmpc_drake.planning import PlanningResult
+    from dtmpc_drake.records.result import PlanningResult
 
 # The same examples on every machine, and no files left behind.
 hypothesis.settings.register_profile(

@@ -13,17 +13,16 @@ from typing import Any
 
 import numpy as np
 
+from dtmpc_drake.method.sliding import control, sliding_variable
 from dtmpc_drake.models import (
-    Array,
     ConstantUncertainty,
     DragDoubleIntegrator,
     IntegratorChain,
     Model,
-    magnitude,
 )
+from dtmpc_drake.numerics.arrays import Array, magnitude
 from dtmpc_drake.obstacles import ObstacleSet
 from dtmpc_drake.planning.problem import Problem
-from dtmpc_drake.sliding import control, sliding_variable
 
 
 class FractionOfBound(Model):

@@ -14,9 +14,9 @@ import pytest
 from matplotlib.text import Text
 from typer.testing import CliRunner
 
-from diagrams.__main__ import app
-from diagrams.compare import OUTPUTS, Row, to_figure, to_text
-from diagrams.monte_carlo import Batch, fly
+from dtmpc_drake.__main__ import app
+from dtmpc_drake.experiments.compare import OUTPUTS, Row, to_figure, to_text
+from dtmpc_drake.experiments.monte_carlo import Batch, fly
 from dtmpc_drake.models import ConstantUncertainty, DragDoubleIntegrator
 from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.planning import Problem, plan_problem

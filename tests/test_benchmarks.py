@@ -10,13 +10,7 @@ import pytest
 from dtmpc_drake.models import DragDoubleIntegrator
 from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.planning import Problem, certify
-from dtmpc_drake.scenario import (
-    Controller,
-    Planner,
-    Scenario,
-    UniformHold,
-    Waypoint,
-)
+from dtmpc_drake.scenario import Controller, Planner, Scenario, UniformHold, Waypoint
 
 pytest.importorskip("casadi")
 

@@ -14,16 +14,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from dtmpc_drake.method.sliding import bandwidth as implied_bandwidth
+from dtmpc_drake.method.sliding import switching_gain
+from dtmpc_drake.method.tightening import input_bound, rate_bound
+from dtmpc_drake.method.tube import cascade_bound, comparison_rate, initial_stages
 from dtmpc_drake.models import ConstantUncertainty, DragDoubleIntegrator
+from dtmpc_drake.numerics.polynomials import Polynomial
 from dtmpc_drake.obstacles import Ellipsoid, ObstacleSet, Sphere
-from dtmpc_drake.planning import PlanningResult, certify, plan_problem
-from dtmpc_drake.planning.certificate import TOP_TOLERANCE, TUBE_TOLERANCE
-from dtmpc_drake.planning.enclosure import Polynomial, enclose
+from dtmpc_drake.planning import certify, plan_problem
+from dtmpc_drake.planning.proof.certify import TOP_TOLERANCE, TUBE_TOLERANCE
+from dtmpc_drake.planning.proof.enclosure import enclose
+from dtmpc_drake.records.result import PlanningResult
 from dtmpc_drake.scenario import Planner
-from dtmpc_drake.sliding import bandwidth as implied_bandwidth
-from dtmpc_drake.sliding import switching_gain
-from dtmpc_drake.tightening import input_bound, rate_bound
-from dtmpc_drake.tube import cascade_bound, comparison_rate, initial_stages
 from tests.models_for_tests import every_model, make_problem, name_of
 
 CASES = [

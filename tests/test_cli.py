@@ -14,20 +14,21 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diagrams.__main__ import app
-from diagrams.closed_loop import Log, Simulate
-from diagrams.experiment import ATTEMPT, OUTPUTS, run
-from dtmpc_drake.plan import Plan
+from dtmpc_drake.__main__ import app
+from dtmpc_drake.diagrams import Simulate
+from dtmpc_drake.experiments.simulate import ATTEMPT, OUTPUTS, run
+from dtmpc_drake.obstacles import Cylinder
+from dtmpc_drake.records.flight import Flight
+from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import (
-    Cylinder,
     Limits,
     Planner,
     Scenario,
-    ScenarioError,
     Waypoint,
     load_scenario,
     shipped_scenarios,
 )
+from dtmpc_drake.scenario.error import ScenarioError
 
 SHORT = Scenario(
     name="short",
@@ -65,7 +66,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
     directory = tmp_path_factory.mktemp("flown")
     written(directory / "mine.yaml", SHORT)
     process = subprocess.run(
-        [sys.executable, "-m", "diagrams", "simulate", "mine.yaml", "--seed", "7"],
+        [sys.executable, "-m", "dtmpc_drake", "simulate", "mine.yaml", "--seed", "7"],
         cwd=directory,
         capture_output=True,
         text=True,
@@ -112,7 +113,7 @@ def test_the_files_say_what_happened(flown: tuple[Any, Path]) -> None:
         assert 0 <= margin["time"] <= 4.0
         assert isinstance(margin["where"], str)
 
-    log, plan = Log.load(out / "log.npz"), Plan.load(out / "plan.npz")
+    log, plan = Flight.load(out / "log.npz"), Plan.load(out / "plan.npz")
     assert summary["extremes"] == log.extremes()
     assert summary["extremes"]["worst_position_ratio"] <= 1.0
     np.testing.assert_allclose(log.reference, plan.reference(log.time), atol=1e-9)
@@ -132,7 +133,7 @@ def test_the_same_seed_gives_the_same_log(flown: tuple[Any, Path]) -> None:
     simulation = dataclasses.replace(SHORT.simulation, seed=7)
     again = dataclasses.replace(SHORT, simulation=simulation)
     log = Simulate(again, plan=Plan.load(out / "plan.npz"))
-    np.testing.assert_array_equal(log.state, Log.load(out / "log.npz").state)
+    np.testing.assert_array_equal(log.state, Flight.load(out / "log.npz").state)
 
 
 # A scenario without a plan.

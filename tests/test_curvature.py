@@ -7,16 +7,18 @@ import dataclasses
 import numpy as np
 import pytest
 
+from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.planning import Problem, plan
-from dtmpc_drake.planning.curvature import (
+from dtmpc_drake.planning.scp.clarabel import borrowed
+from dtmpc_drake.planning.scp.curvature import (
     LOSS,
     Multipliers,
     input_curvature,
     rotation_curvature,
     tube_curvature,
 )
-from dtmpc_drake.planning.qp import borrowed
-from dtmpc_drake.planning.scp import (
+from dtmpc_drake.planning.scp.layout import Variables
+from dtmpc_drake.planning.scp.linearise import (
     INPUT_SCALE,
     Program,
     Shape,
@@ -24,16 +26,9 @@ from dtmpc_drake.planning.scp import (
     kinked_coordinates,
     tangent_space,
 )
-from dtmpc_drake.planning.sensitivity import transitions
+from dtmpc_drake.planning.scp.sensitivity import transitions
 from dtmpc_drake.planning.transcription import Transcription
-from dtmpc_drake.planning.variables import Variables
-from dtmpc_drake.scenario import (
-    Cylinder,
-    Planner,
-    Scenario,
-    Waypoint,
-    load_scenario,
-)
+from dtmpc_drake.scenario import Planner, Scenario, Waypoint, load_scenario
 
 
 @pytest.fixture(scope="module")

@@ -13,11 +13,12 @@ from models_for_tests import FirstOrderScalar, PlanarOnSlope, ThirdOrderPlanar
 from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.systems.analysis import Simulator
 
-from diagrams.closed_loop import Log, MakeClosedLoop, Simulate
+from dtmpc_drake.diagrams import MakeClosedLoop, Simulate
 from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
 from dtmpc_drake.obstacles import Cylinder, Sphere
-from dtmpc_drake.plan import Plan
 from dtmpc_drake.planning import plan
+from dtmpc_drake.records.flight import Flight
+from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import (
     BangBang,
     ColoredWind,
@@ -168,7 +169,7 @@ def test_the_seed_decides_everything_random(planned: Planned) -> None:
         first, again, other = (
             Simulate(with_seed(scenario, seed), plan=flown) for seed in (3, 3, 4)
         )
-        for field in dataclasses.fields(Log):
+        for field in dataclasses.fields(Flight):
             np.testing.assert_array_equal(
                 getattr(first, field.name), getattr(again, field.name)
             )
@@ -237,15 +238,15 @@ def test_a_log_survives_its_file(planned: Planned, tmp_path: Path) -> None:
     scenario, flown = planned("n1_m1")
     log = Simulate(scenario, plan=flown)
     log.save(tmp_path / "log.npz")
-    loaded = Log.load(tmp_path / "log.npz")
-    for field in dataclasses.fields(Log):
+    loaded = Flight.load(tmp_path / "log.npz")
+    for field in dataclasses.fields(Flight):
         np.testing.assert_array_equal(
             getattr(loaded, field.name), getattr(log, field.name)
         )
     assert "401 samples over 4 s" in repr(loaded)
     flown.save(tmp_path / "plan.npz")
     with pytest.raises(ValueError, match="not a saved log"):
-        Log.load(tmp_path / "plan.npz")
+        Flight.load(tmp_path / "plan.npz")
 
 
 def test_without_a_certified_plan_the_vehicle_stays() -> None:

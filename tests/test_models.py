@@ -16,11 +16,8 @@ from dtmpc_drake.models import (
     IntegratorChain,
     Model,
     SampledBoxBounds,
-    bends,
-    euclidean_norm,
-    jacobian,
-    magnitude,
 )
+from dtmpc_drake.numerics.arrays import bends, euclidean_norm, jacobian, magnitude
 
 models = pytest.mark.parametrize("model", every_model(), ids=name_of)
 seeds = st.integers(0, 2**32 - 1)

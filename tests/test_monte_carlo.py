@@ -28,28 +28,32 @@ from pydrake.systems.primitives import (
 )
 from typer.testing import CliRunner
 
-from diagrams.__main__ import app
-from diagrams.closed_loop import (
+from dtmpc_drake.__main__ import app
+from dtmpc_drake.diagrams import (
     FlyTrials,
-    Log,
     MakeClosedLoop,
     Simulate,
     SimulateTrials,
-)
-from diagrams.monte_carlo import OUTPUTS, Batch, fly, fly_all
-from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
-from dtmpc_drake.monte_carlo import (
-    KINDS,
-    SPREAD,
-    Flights,
-    batches,
-    choose_disturbances,
     draw_trials,
-    spread,
 )
+from dtmpc_drake.diagrams.trials import SPREAD
+from dtmpc_drake.experiments.monte_carlo import (
+    KINDS,
+    OUTPUTS,
+    Batch,
+    choose_disturbances,
+    fly,
+    fly_all,
+)
+from dtmpc_drake.experiments.spread import batches, spread
+from dtmpc_drake.method.sliding import sliding_variable
+from dtmpc_drake.method.tube import initial_stages
+from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
 from dtmpc_drake.obstacles import Cylinder
-from dtmpc_drake.plan import Plan
 from dtmpc_drake.planning import plan
+from dtmpc_drake.records.flight import Flight
+from dtmpc_drake.records.flights import Flights
+from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import (
     Constant,
     Controller,
@@ -57,13 +61,12 @@ from dtmpc_drake.scenario import (
     Limits,
     Planner,
     Scenario,
-    ScenarioError,
     UniformHold,
     Waypoint,
     WorstCase,
     load_scenario,
 )
-from dtmpc_drake.sliding import sliding_variable
+from dtmpc_drake.scenario.error import ScenarioError
 from dtmpc_drake.systems import (
     Plant,
     SeedTrials,
@@ -71,7 +74,6 @@ from dtmpc_drake.systems import (
     TrialNoise,
     hold_plan,
 )
-from dtmpc_drake.tube import initial_stages
 from dtmpc_drake.visualization import plot_plan, plot_quantiles
 
 
@@ -111,8 +113,8 @@ def flown() -> tuple[Scenario, Plan]:
     return scenario, planned(scenario)
 
 
-def assert_same_log(one: Log, other: Log) -> None:
-    for field in dataclasses.fields(Log):
+def assert_same_log(one: Flight, other: Flight) -> None:
+    for field in dataclasses.fields(Flight):
         a, b = getattr(one, field.name), getattr(other, field.name)
         np.testing.assert_array_equal(a, b, err_msg=field.name, strict=True)
 
@@ -607,7 +609,7 @@ def test_a_scheduler_without_workers_is_not_waited_for(
 ) -> None:
     from distributed import LocalCluster
 
-    monkeypatch.setattr("dtmpc_drake.monte_carlo.PATIENCE", 0.5)
+    monkeypatch.setattr("dtmpc_drake.experiments.spread.PATIENCE", 0.5)
     with (
         LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as empty,
         pytest.raises(ScenarioError, match="a scheduler with workers: none came"),

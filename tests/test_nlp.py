@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 
-from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain, jacobian
-from dtmpc_drake.obstacles import ObstacleSet
-from dtmpc_drake.planning import nlp, plan, plan_problem
-from dtmpc_drake.planning.nlp_rows import ROUNDING, rounded
-from dtmpc_drake.planning.scp import turned
+from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
+from dtmpc_drake.numerics.arrays import jacobian
+from dtmpc_drake.obstacles import Cylinder, ObstacleSet
+from dtmpc_drake.planning import plan, plan_problem
+from dtmpc_drake.planning.ipopt import solver as nlp
+from dtmpc_drake.planning.ipopt.rows import ROUNDING, rounded
+from dtmpc_drake.planning.scp.linearise import turned
 from dtmpc_drake.planning.transcription import Transcription
-from dtmpc_drake.scenario import Cylinder, Planner, load_scenario
+from dtmpc_drake.scenario import Planner, load_scenario
 from tests.models_for_tests import every_model, make_problem, name_of
 
 GOOD = ("Success", "Stop at acceptable point")

@@ -13,18 +13,19 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from diagrams import compare, monte_carlo
+from dtmpc_drake.experiments import compare, monte_carlo
+from dtmpc_drake.method.stopping import range_needed, stopping_time
 from dtmpc_drake.models import IntegratorChain
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Sphere
+from dtmpc_drake.obstacles.field import visible
 from dtmpc_drake.scenario import (
     Planner,
     Scenario,
-    ScenarioError,
     Sensing,
     load_scenario,
     parse_scenario,
 )
-from dtmpc_drake.sensing import range_needed, stopping_time, visible
+from dtmpc_drake.scenario.error import ScenarioError
 from dtmpc_drake.systems import ObstacleSensor
 
 

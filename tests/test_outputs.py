@@ -15,14 +15,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from diagrams import experiment
-from diagrams.__main__ import app
-from diagrams.closed_loop import Log, Simulate
-from diagrams.experiment import run
-from diagrams.outputs import replacing
-from dtmpc_drake.plan import Plan
-from dtmpc_drake.replan import Replan
-from dtmpc_drake.scenario import Cylinder, Limits, Planner, Scenario, Waypoint
+from dtmpc_drake.__main__ import app
+from dtmpc_drake.diagrams import Simulate
+from dtmpc_drake.experiments import simulate as experiment
+from dtmpc_drake.experiments.outputs import replacing
+from dtmpc_drake.experiments.simulate import run
+from dtmpc_drake.obstacles import Cylinder
+from dtmpc_drake.records.flight import Flight
+from dtmpc_drake.records.plan import Plan
+from dtmpc_drake.records.replan import Replan
+from dtmpc_drake.scenario import Limits, Planner, Scenario, Waypoint
 
 NAMES = ("a.txt", "b.txt", "c.txt")
 SHORT = Scenario(
@@ -96,7 +98,7 @@ def test_files_that_cannot_all_take_their_places_take_none(
             raise error
         replace(source, target)
 
-    monkeypatch.setattr("diagrams.outputs.os.replace", some)
+    monkeypatch.setattr("dtmpc_drake.experiments.outputs.os.replace", some)
     with pytest.raises(error), replacing(used, (*NAMES, "d.txt")) as work:
         for name in ("b.txt", "c.txt", "d.txt"):
             (work / name).write_text("new")
@@ -201,7 +203,7 @@ def test_more_flights_than_there_is_memory_for_are_refused(tmp_path: Path) -> No
 
 
 @pytest.fixture(scope="module")
-def log() -> Log:
+def log() -> Flight:
     found = dataclasses.replace(
         SHORT, planner=dataclasses.replace(SHORT.planner, replan_period=1.0)
     )
@@ -209,23 +211,23 @@ def log() -> Log:
 
 
 @pytest.fixture(scope="module")
-def single() -> Log:
+def single() -> Flight:
     """Of a flight with one plan, and so without replans."""
     return Simulate(SHORT)
 
 
-def test_a_single_flights_log_is_loaded_exactly(single: Log, tmp_path: Path) -> None:
+def test_a_single_flights_log_is_loaded_exactly(single: Flight, tmp_path: Path) -> None:
     single.save(tmp_path / "log.npz")
-    loaded = Log.load(tmp_path / "log.npz")
+    loaded = Flight.load(tmp_path / "log.npz")
     np.testing.assert_array_equal(loaded.state, single.state)
     assert loaded.replans == single.replans == ()
     assert loaded.status == single.status
 
 
-def test_a_saved_log_is_loaded_exactly(log: Log, tmp_path: Path) -> None:
+def test_a_saved_log_is_loaded_exactly(log: Flight, tmp_path: Path) -> None:
     log.save(tmp_path / "log.npz")
-    loaded = Log.load(tmp_path / "log.npz")
-    for field in dataclasses.fields(Log):
+    loaded = Flight.load(tmp_path / "log.npz")
+    for field in dataclasses.fields(Flight):
         before, after = getattr(log, field.name), getattr(loaded, field.name)
         if isinstance(before, np.ndarray):
             np.testing.assert_array_equal(before, after)
@@ -234,14 +236,16 @@ def test_a_saved_log_is_loaded_exactly(log: Log, tmp_path: Path) -> None:
     assert len(loaded.replans) > 2 and loaded.extremes() == log.extremes()
 
 
-def test_a_flight_that_diverged_is_loaded_as_it_was(log: Log, tmp_path: Path) -> None:
+def test_a_flight_that_diverged_is_loaded_as_it_was(
+    log: Flight, tmp_path: Path
+) -> None:
     state = log.state.copy()
     state[5:] = np.nan
     dataclasses.replace(log, state=state).save(tmp_path / "log.npz")
-    assert np.isnan(Log.load(tmp_path / "log.npz").state[5:]).all()
+    assert np.isnan(Flight.load(tmp_path / "log.npz").state[5:]).all()
 
 
-def saved_with(log: Log, path: Path, **changes: object) -> None:
+def saved_with(log: Flight, path: Path, **changes: object) -> None:
     """A log's file with some of its arrays replaced, or left out if None."""
     log.save(path)
     with np.load(path) as data:
@@ -251,7 +255,7 @@ def saved_with(log: Log, path: Path, **changes: object) -> None:
 
 
 ARRAYS = [
-    f.name for f in dataclasses.fields(Log) if f.name not in ("status", "replans")
+    f.name for f in dataclasses.fields(Flight) if f.name not in ("status", "replans")
 ]
 
 
@@ -282,12 +286,12 @@ ARRAYS = [
     ],
 )
 def test_no_other_array_is_taken_for_a_logs(
-    log: Log, field: str, array: np.ndarray | None, tmp_path: Path
+    log: Flight, field: str, array: np.ndarray | None, tmp_path: Path
 ) -> None:
     file = tmp_path / "log.npz"
     saved_with(log, file, **{field: array})
     with pytest.raises(ValueError) as error:
-        Log.load(file)
+        Flight.load(file)
     words = str(error.value)
     assert words.startswith(f"{file}: not a saved log ({field}") and "\n" not in words
 
@@ -301,7 +305,7 @@ DAMAGE = {
 
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_a_damaged_log_is_refused_with_its_field(
-    log: Log, damage: str, tmp_path: Path
+    log: Flight, damage: str, tmp_path: Path
 ) -> None:
     changes, words = DAMAGE[damage]
     for field, rows in changes.items():
@@ -310,32 +314,32 @@ def test_a_damaged_log_is_refused_with_its_field(
             array[row] = value
         saved_with(log, tmp_path / "log.npz", **{field: array})
     with pytest.raises(ValueError, match=rf"log\.npz: not a saved log \({words}"):
-        Log.load(tmp_path / "log.npz")
+        Flight.load(tmp_path / "log.npz")
 
 
-def test_a_status_that_no_planner_says_is_refused(log: Log, tmp_path: Path) -> None:
+def test_a_status_that_no_planner_says_is_refused(log: Flight, tmp_path: Path) -> None:
     saved_with(log, tmp_path / "log.npz", status=np.array("splendid"))
     with pytest.raises(ValueError, match=r"\(status: 'splendid' is none of .*kept"):
-        Log.load(tmp_path / "log.npz")
+        Flight.load(tmp_path / "log.npz")
 
 
 @pytest.mark.parametrize("status", ["given", "kept: old plan", "infeasible: a: b"])
 def test_a_status_and_its_reason_are_loaded(
-    log: Log, status: str, tmp_path: Path
+    log: Flight, status: str, tmp_path: Path
 ) -> None:
     dataclasses.replace(log, status=status).save(tmp_path / "log.npz")
-    assert Log.load(tmp_path / "log.npz").status == status
+    assert Flight.load(tmp_path / "log.npz").status == status
 
 
 @pytest.mark.parametrize("field", [field.name for field in dataclasses.fields(Plan)])
 @pytest.mark.parametrize("array", [None, np.zeros(()), np.array(["a"])])
 def test_a_plan_that_lost_an_array_is_not_taken_for_none(
-    log: Log, field: str, array: np.ndarray | None, tmp_path: Path
+    log: Flight, field: str, array: np.ndarray | None, tmp_path: Path
 ) -> None:
     saved_with(log, tmp_path / "log.npz", **{f"plan1_{field}": array})
     words = rf"plan1_{field}" if array is None else "plan 1: not a saved plan"
     with pytest.raises(ValueError, match=rf"log\.npz: not a saved log .*{words}"):
-        Log.load(tmp_path / "log.npz")
+        Flight.load(tmp_path / "log.npz")
 
 
 WRONG = {
@@ -360,13 +364,13 @@ def test_every_field_of_a_replan_has_its_wrong_values() -> None:
     ("field", "value"), [(field, v) for field, vs in WRONG.items() for v in vs]
 )
 def test_a_replan_with_a_wrong_value_is_refused(
-    log: Log, field: str, value: object, tmp_path: Path
+    log: Flight, field: str, value: object, tmp_path: Path
 ) -> None:
     replans = [replan.summary() for replan in log.replans]
     replans[1][field] = value
     saved_with(log, tmp_path / "log.npz", replans=np.array(json.dumps(replans)))
     with pytest.raises(ValueError, match=r"log\.npz: not a saved log \(replans"):
-        Log.load(tmp_path / "log.npz")
+        Flight.load(tmp_path / "log.npz")
 
 
 def header(text: str) -> bytes:
@@ -390,7 +394,7 @@ NO_ARRAYS = {
 @pytest.mark.parametrize("member", NO_ARRAYS)
 @pytest.mark.parametrize("field", ["time", "status", "replans", "plan0_knots"])
 def test_a_member_that_is_no_array_is_refused(
-    log: Log, field: str, member: str, tmp_path: Path
+    log: Flight, field: str, member: str, tmp_path: Path
 ) -> None:
     file = tmp_path / "log.npz"
     log.save(file)
@@ -401,14 +405,16 @@ def test_a_member_that_is_no_array_is_refused(
             archive.writestr(name, data)
     word = "replans" if field.startswith("plan") else field
     with pytest.raises(ValueError, match=rf"log\.npz: not a saved log \({word}"):
-        Log.load(file)
+        Flight.load(file)
 
 
 @pytest.mark.parametrize(
     "text",
     ["{}", "[1]", '[{"time": 0}]', "[[]]", "null"],
 )
-def test_replans_that_are_none_are_refused(log: Log, text: str, tmp_path: Path) -> None:
+def test_replans_that_are_none_are_refused(
+    log: Flight, text: str, tmp_path: Path
+) -> None:
     file = tmp_path / "log.npz"
     log.save(file)
     with np.load(file) as data:
@@ -416,12 +422,12 @@ def test_replans_that_are_none_are_refused(log: Log, text: str, tmp_path: Path) 
     with open(file, "wb") as target:
         np.savez(target, **(arrays | {"replans": np.array(text)}))
     with pytest.raises(ValueError, match=r"log\.npz: not a saved log \(replans"):
-        Log.load(file)
+        Flight.load(file)
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA, 99])
 def test_a_member_that_is_packed_otherwise_is_refused(
-    log: Log, method: int, tmp_path: Path
+    log: Flight, method: int, tmp_path: Path
 ) -> None:
     file = tmp_path / "log.npz"
     log.save(file)
@@ -430,7 +436,7 @@ def test_a_member_that_is_packed_otherwise_is_refused(
     data[entry + 10 : entry + 12] = method.to_bytes(2, "little")
     file.write_bytes(data)
     with pytest.raises(ValueError, match=r"log\.npz: not a saved log"):
-        Log.load(file)
+        Flight.load(file)
 
 
 @pytest.mark.parametrize("kind", ["log", "single"])
@@ -446,6 +452,6 @@ def test_damaged_bytes_are_a_value_error_or_a_log(
         data[place] = g.integers(0, 256)
     file.write_bytes(data[: g.integers(len(data) // 2, len(data) + 1)])
     try:
-        Log.load(file)
+        Flight.load(file)
     except ValueError as error:
         assert str(error).startswith(f"{file}: not a saved log")

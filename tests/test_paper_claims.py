@@ -10,10 +10,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagrams.closed_loop import Log, MakeClosedLoop, Simulate
-from diagrams.monte_carlo import Batch, fly
-from dtmpc_drake.plan import Plan
-from dtmpc_drake.planning import PlanningResult
+from dtmpc_drake.diagrams import MakeClosedLoop, Simulate
+from dtmpc_drake.experiments.monte_carlo import Batch, fly
+from dtmpc_drake.records.flight import Flight
+from dtmpc_drake.records.plan import Plan
+from dtmpc_drake.records.result import PlanningResult
 from dtmpc_drake.scenario import Scenario, load_scenario
 
 LEAD = 1.0
@@ -25,13 +26,13 @@ def distance_from_obstacles(scenario: Scenario, position: np.ndarray) -> np.ndar
 
 
 @pytest.fixture(scope="module")
-def uncertain() -> tuple[Scenario, Log]:
+def uncertain() -> tuple[Scenario, Flight]:
     scenario = load_scenario("state_dependent_uncertainty")
     return scenario, Simulate(scenario)
 
 
 @pytest.fixture(scope="module")
-def receding() -> tuple[Scenario, Log]:
+def receding() -> tuple[Scenario, Flight]:
     scenario = load_scenario("receding_horizon")
     return scenario, Simulate(scenario)
 
@@ -74,7 +75,7 @@ def test_2_a_thousand_flights_stay_in_the_tube(
 
 
 def test_3_plans_answer_to_obstacles_that_are_found_on_the_way(
-    receding: tuple[Scenario, Log],
+    receding: tuple[Scenario, Flight],
 ) -> None:
     scenario, log = receding
     assert log.clearance.min() > 0 and log.tube_ratios.max() <= 1
@@ -101,7 +102,7 @@ def test_3_plans_answer_to_obstacles_that_are_found_on_the_way(
 
 
 def test_4_the_vehicle_is_slow_where_the_tube_must_be_thin(
-    uncertain: tuple[Scenario, Log],
+    uncertain: tuple[Scenario, Flight],
 ) -> None:
     scenario, log = uncertain
     assert log.status == "certified"
@@ -115,7 +116,7 @@ def test_4_the_vehicle_is_slow_where_the_tube_must_be_thin(
 
 
 def test_5_with_a_constant_bound_instead_there_is_no_plan(
-    uncertain: tuple[Scenario, Log],
+    uncertain: tuple[Scenario, Flight],
 ) -> None:
     scenario = load_scenario("constant_uncertainty")
     diagram = MakeClosedLoop(scenario)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dtmpc_drake.planning import qp
-from dtmpc_drake.planning.qp import Layout, QuadraticProgram, Window, borrowed
-from dtmpc_drake.planning.rows import Rows
+from dtmpc_drake.planning.scp import clarabel as qp
+from dtmpc_drake.planning.scp.clarabel import Layout, QuadraticProgram, Window, borrowed
+from dtmpc_drake.planning.scp.rows import Rows
 
 
 def dense(layout: Layout, name: str, blocks: np.ndarray) -> np.ndarray:

@@ -8,7 +8,8 @@ import scipy.integrate
 
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Sphere
 from dtmpc_drake.planning import plan
-from dtmpc_drake.scenario import Scenario, ScenarioError, Waypoint
+from dtmpc_drake.scenario import Scenario, Waypoint
+from dtmpc_drake.scenario.error import ScenarioError
 
 SEEDS = range(12)
 

@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 from test_diagrams import DISTURBANCES
 
-from diagrams.closed_loop import Log, MakeClosedLoop, Simulate
+from dtmpc_drake.diagrams import MakeClosedLoop, Simulate
 from dtmpc_drake.models import IntegratorChain
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid
-from dtmpc_drake.plan import Plan
 from dtmpc_drake.planning import Problem, certify, plan, replan
-from dtmpc_drake.planning.certificate import clearance_ahead
+from dtmpc_drake.planning.proof.certify import clearance_ahead
 from dtmpc_drake.planning.replanning import carried_error, problem_on_the_way
-from dtmpc_drake.replan import Replan, counted, plans_in_force, table
+from dtmpc_drake.records.flight import Flight
+from dtmpc_drake.records.plan import Plan
+from dtmpc_drake.records.replan import Replan, counted, plans_in_force, table
 from dtmpc_drake.scenario import (
     Controller,
     Limits,
@@ -30,10 +31,10 @@ from dtmpc_drake.scenario import (
     load_scenario,
 )
 
-_FLIGHTS: dict[tuple[str, str], Log] = {}
+_FLIGHTS: dict[tuple[str, str], Flight] = {}
 
 
-def flight(name: str, disturbance: str) -> Log:
+def flight(name: str, disturbance: str) -> Flight:
     """A shipped scenario flown in some wind, once."""
     if (name, disturbance) not in _FLIGHTS:
         scenario = load_scenario(name)
@@ -43,7 +44,7 @@ def flight(name: str, disturbance: str) -> Log:
     return _FLIGHTS[name, disturbance]
 
 
-def assert_safe(scenario: Scenario, log: Log) -> None:
+def assert_safe(scenario: Scenario, log: Flight) -> None:
     assert log.tube_ratios.max() <= 1 + 1e-6
     assert log.clearance.min() > 0
     seen = log.extremes()
@@ -51,7 +52,7 @@ def assert_safe(scenario: Scenario, log: Log) -> None:
     assert seen["largest_speed"] <= scenario.limits.speed
 
 
-def hand_overs(log: Log) -> list[tuple[float, Plan, Plan]]:
+def hand_overs(log: Flight) -> list[tuple[float, Plan, Plan]]:
     shown = plans_in_force(log.replans)
     pairs = itertools.pairwise(shown)
     return [(new.start, old.plan, new.plan) for old, new in pairs]
@@ -229,7 +230,7 @@ def test_two_flights_are_equal_whatever_the_clock_says() -> None:
     scenario = load_scenario("receding_horizon")
     scenario.disturbance = DISTURBANCES["uniform"](scenario.disturbance.bound)
     again, first = Simulate(scenario), flight("receding_horizon", "uniform")
-    for field in dataclasses.fields(Log):
+    for field in dataclasses.fields(Flight):
         if field.name != "replans":
             np.testing.assert_array_equal(
                 getattr(again, field.name), getattr(first, field.name)
@@ -246,7 +247,7 @@ def test_two_flights_are_equal_whatever_the_clock_says() -> None:
 def test_a_log_with_many_plans_survives_its_file(tmp_path: Path) -> None:
     log = flight("receding_horizon", "uniform")
     log.save(tmp_path / "log.npz")
-    loaded = Log.load(tmp_path / "log.npz")
+    loaded = Flight.load(tmp_path / "log.npz")
     assert loaded.replans == log.replans
     assert loaded.replans[3].solve_time == log.replans[3].solve_time
     np.testing.assert_array_equal(loaded.known_since, log.known_since)

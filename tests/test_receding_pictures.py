@@ -10,12 +10,12 @@ import pytest
 from test_receding_horizon import corridor
 from test_visualization import meshcat_commands
 
-from diagrams.closed_loop import Log
-from diagrams.experiment import OUTPUTS, REPLANS, Experiment, run
+from dtmpc_drake.experiments.simulate import OUTPUTS, REPLANS, Experiment, run
 from dtmpc_drake.models import IntegratorChain
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid
-from dtmpc_drake.plan import Plan
-from dtmpc_drake.replan import plans_in_force
+from dtmpc_drake.records.flight import Flight
+from dtmpc_drake.records.plan import Plan
+from dtmpc_drake.records.replan import plans_in_force
 from dtmpc_drake.scenario import Planner
 from dtmpc_drake.visualization import plot_receding_horizon, plot_replans
 
@@ -37,7 +37,7 @@ def experiment(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
     return run(scenario, tmp_path_factory.mktemp("out"))
 
 
-def log_of(experiment: Experiment) -> Log:
+def log_of(experiment: Experiment) -> Flight:
     assert experiment.log is not None
     return experiment.log
 
@@ -63,7 +63,7 @@ def test_everything_is_written_and_the_summary_has_the_plans(
 
 def test_the_saved_plan_is_what_was_in_force(experiment: Experiment) -> None:
     out = experiment.files[0].parent
-    flown, log = Plan.load(out / "plan.npz"), Log.load(out / "log.npz")
+    flown, log = Plan.load(out / "plan.npz"), Flight.load(out / "log.npz")
     quiet = np.ones(len(log.time), dtype=bool)
     for shown in plans_in_force(log.replans):
         quiet &= np.abs(log.time - shown.start) > 1e-3

@@ -13,21 +13,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from diagrams.__main__ import app
-from diagrams.closed_loop import FlyTrials, Log, Simulate, SimulateTrials
-from dtmpc_drake.models import Array, DragDoubleIntegrator
-from dtmpc_drake.monte_carlo import KINDS, draw_trials
-from dtmpc_drake.plan import Plan
+from dtmpc_drake.__main__ import app
+from dtmpc_drake.diagrams import FlyTrials, Simulate, SimulateTrials, draw_trials
+from dtmpc_drake.experiments.monte_carlo import KINDS
+from dtmpc_drake.models import DragDoubleIntegrator
+from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.numerics.sampling import samples, step_times
+from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.planning import plan
-from dtmpc_drake.sampling import samples, step_times
-from dtmpc_drake.scenario import (
-    BangBang,
-    Cylinder,
-    Planner,
-    Scenario,
-    Simulation,
-    Waypoint,
-)
+from dtmpc_drake.records.flight import Flight
+from dtmpc_drake.records.plan import Plan
+from dtmpc_drake.scenario import BangBang, Planner, Scenario, Simulation, Waypoint
 from dtmpc_drake.systems import hold_plan
 from dtmpc_drake.visualization.style import drawn_period
 
@@ -167,7 +163,7 @@ class Counting(DragDoubleIntegrator):
         return super().true_drift(x, parameters)
 
 
-def asked(**fields: Any) -> tuple[int, Log]:
+def asked(**fields: Any) -> tuple[int, Flight]:
     """How often a model is asked in a flight at rest, and its log."""
     scenario = Scenario(
         model=Counting(),

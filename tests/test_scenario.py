@@ -16,6 +16,7 @@ from dtmpc_drake.models import (
     DragDoubleIntegrator,
     IntegratorChain,
 )
+from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Sphere
 from dtmpc_drake.scenario import (
     Bandwidth,
     BangBang,
@@ -23,15 +24,11 @@ from dtmpc_drake.scenario import (
     Constant,
     Controller,
     Cost,
-    Cylinder,
-    Ellipsoid,
     Gust,
     Limits,
     Planner,
     Scenario,
-    ScenarioError,
     Simulation,
-    Sphere,
     UniformHold,
     Waypoint,
     WorstCase,
@@ -39,6 +36,7 @@ from dtmpc_drake.scenario import (
     parse_scenario,
     shipped_scenarios,
 )
+from dtmpc_drake.scenario.error import ScenarioError
 
 # The documented schema, with every field that it has.
 FULL = """

@@ -14,35 +14,33 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dtmpc_drake import scenario_size as size
 from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
-from dtmpc_drake.monte_carlo import REPORT_PERIOD
+from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Sphere
 from dtmpc_drake.planning import plan
-from dtmpc_drake.planning.certificate import INTERVALS, certify
-from dtmpc_drake.planning.enclosure import enclose
 from dtmpc_drake.planning.problem import Problem
-from dtmpc_drake.planning.scp import kinked_coordinates
-from dtmpc_drake.planning.sensitivity import transitions
+from dtmpc_drake.planning.proof.certify import INTERVALS, certify
+from dtmpc_drake.planning.proof.enclosure import enclose
+from dtmpc_drake.planning.scp.linearise import kinked_coordinates
+from dtmpc_drake.planning.scp.sensitivity import transitions
 from dtmpc_drake.planning.transcription import Transcription
+from dtmpc_drake.records.flights import REPORT_PERIOD
 from dtmpc_drake.scenario import (
     Bandwidth,
     BangBang,
     Controller,
-    Cylinder,
-    Ellipsoid,
     Limits,
     Planner,
     Scenario,
-    ScenarioError,
     Sensing,
     Simulation,
-    Sphere,
     UniformHold,
     Waypoint,
     load_scenario,
     parse_scenario,
+    size,
 )
-from dtmpc_drake.scenario_text import DEEPEST, MOST_BYTES, MOST_VALUES, read_yaml
+from dtmpc_drake.scenario.error import ScenarioError
+from dtmpc_drake.scenario.text import DEEPEST, MOST_BYTES, MOST_VALUES, read_yaml
 
 LEAST = """
 start: {position: [0, 0, 0]}
@@ -542,7 +540,7 @@ def test_the_estimate_of_memory_is_right_within_a_factor_of_two(
 
     straight = transcription.plan(iterate)
     monkeypatch.setattr(
-        "dtmpc_drake.planning.certificate.INTERVALS", INTERVALS[-1:] * 2
+        "dtmpc_drake.planning.proof.certify.INTERVALS", INTERVALS[-1:] * 2
     )
     finest = peak_of(lambda: certify(straight, problem))
     estimate = sum(part.numbers for part in size.certificate(scenario))

@@ -15,14 +15,9 @@ import pytest
 
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.planning.transcription import Transcription
-from dtmpc_drake.scenario import (
-    SHIPPED,
-    Scenario,
-    ScenarioError,
-    parse_scenario,
-    shipped_scenarios,
-)
-from dtmpc_drake.scenario_size import MEMORY
+from dtmpc_drake.scenario import SHIPPED, Scenario, parse_scenario, shipped_scenarios
+from dtmpc_drake.scenario.error import ScenarioError
+from dtmpc_drake.scenario.size import MEMORY
 
 TEXTS, TASKS = 2000, 20
 LONGEST = 5  # s; one that takes longer hangs

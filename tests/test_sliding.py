@@ -19,8 +19,7 @@ from models_for_tests import (
 )
 from pydrake.autodiffutils import InitializeAutoDiff
 
-from dtmpc_drake.models import Array, IntegratorChain, Model
-from dtmpc_drake.sliding import (
+from dtmpc_drake.method.sliding import (
     bandwidth,
     control,
     gain_crossover,
@@ -29,6 +28,8 @@ from dtmpc_drake.sliding import (
     surface_coefficients,
     switching_gain,
 )
+from dtmpc_drake.models import IntegratorChain, Model
+from dtmpc_drake.numerics.arrays import Array
 
 models = pytest.mark.parametrize("model", every_model(), ids=name_of)
 each_order = pytest.mark.parametrize("model", one_model_of_each_order(), ids=name_of)

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 
-from dtmpc_drake.models import Array
-from dtmpc_drake.planning import splines
+from dtmpc_drake.numerics import splines
+from dtmpc_drake.numerics.arrays import Array
 
 degrees = st.integers(1, 5)
 """For which scipy's and the tests' own arithmetic is exact enough."""

@@ -15,8 +15,9 @@ from pydrake.systems.analysis import (
 from pydrake.systems.primitives import LinearSystem
 from typer.testing import CliRunner
 
-from diagrams.__main__ import app
-from diagrams.closed_loop import Simulate
+from dtmpc_drake.__main__ import app
+from dtmpc_drake.diagrams import Simulate
+from dtmpc_drake.method.stability import LIMITS, longest_stable_step
 from dtmpc_drake.models import IntegratorChain
 from dtmpc_drake.planning import plan
 from dtmpc_drake.scenario import (
@@ -24,14 +25,13 @@ from dtmpc_drake.scenario import (
     ColoredWind,
     Controller,
     Scenario,
-    ScenarioError,
     Simulation,
     UniformHold,
     Waypoint,
     load_scenario,
     shipped_scenarios,
 )
-from dtmpc_drake.stability import LIMITS, longest_stable_step
+from dtmpc_drake.scenario.error import ScenarioError
 
 FAST = Scenario(
     name="fast",

@@ -15,9 +15,10 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, System
 from pydrake.systems.primitives import FirstOrderTaylorApproximation, Linearize
 
-from dtmpc_drake import sliding
-from dtmpc_drake.models import Array, DragDoubleIntegrator, IntegratorChain
-from dtmpc_drake.plan import Plan
+from dtmpc_drake.method import sliding
+from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
+from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import (
     BangBang,
     ColoredWind,
@@ -26,11 +27,11 @@ from dtmpc_drake.scenario import (
     Disturbance,
     Gust,
     Scenario,
-    ScenarioError,
     UniformHold,
     Waypoint,
     WorstCase,
 )
+from dtmpc_drake.scenario.error import ScenarioError
 from dtmpc_drake.systems import (
     DtmpcPlanner,
     MakeDisturbance,

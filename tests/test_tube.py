@@ -18,11 +18,8 @@ from models_for_tests import (
     wave,
 )
 
-from dtmpc_drake.filters import half_grid, integrate_filter, linear_recurrence
-from dtmpc_drake.models import Array, DragDoubleIntegrator, IntegratorChain, Model
-from dtmpc_drake.scenario import Scenario
-from dtmpc_drake.sliding import sliding_variable
-from dtmpc_drake.tube import (
+from dtmpc_drake.method.sliding import sliding_variable
+from dtmpc_drake.method.tube import (
     Tube,
     VelocityBound,
     cascade_bound,
@@ -31,9 +28,13 @@ from dtmpc_drake.tube import (
     propagate,
     propagate_error_bounds,
 )
+from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain, Model
+from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.numerics.filters import half_grid, integrate_filter, linear_recurrence
+from dtmpc_drake.scenario import Scenario
 
 if TYPE_CHECKING:
-    from dtmpc_drake.planning import PlanningResult
+    from dtmpc_drake.records.result import PlanningResult
 
 each_order = pytest.mark.parametrize("model", one_model_of_each_order(), ids=name_of)
 each_bound = pytest.mark.parametrize("velocity_bound", ["comparison", "paper"])

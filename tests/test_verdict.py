@@ -19,15 +19,17 @@ from pydrake.systems.primitives import (
 )
 from typer.testing import CliRunner
 
-from diagrams.__main__ import app
-from diagrams.closed_loop import FlyTrials, Simulate
-from diagrams.experiment import run
-from diagrams.monte_carlo import MonteCarlo, draw
-from dtmpc_drake import verdict
+from dtmpc_drake.__main__ import app
+from dtmpc_drake.diagrams import FlyTrials, Simulate, draw_trials
+from dtmpc_drake.diagrams.recorder import Recorder
+from dtmpc_drake.experiments.monte_carlo import MonteCarlo, draw
+from dtmpc_drake.experiments.simulate import run
 from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
-from dtmpc_drake.monte_carlo import Flights, Recorder, draw_trials
+from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.planning import plan
-from dtmpc_drake.scenario import Cylinder, Limits, Planner, Scenario, Waypoint
+from dtmpc_drake.records import verdict
+from dtmpc_drake.records.flights import Flights
+from dtmpc_drake.scenario import Limits, Planner, Scenario, Waypoint
 from dtmpc_drake.systems import TubeMonitor
 
 SHORT = Scenario(

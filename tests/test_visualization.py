@@ -15,9 +15,10 @@ from matplotlib.patches import PathPatch, Polygon
 from pydrake.geometry import Meshcat, MeshcatParams
 
 from dtmpc_drake.models import IntegratorChain
+from dtmpc_drake.numerics.arrays import FloatArray
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Obstacle, ObstacleSet, Sphere
-from dtmpc_drake.plan import FloatArray, Plan
 from dtmpc_drake.planning import plan as make_plan
+from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import (
     Controller,
     Limits,

@@ -1,11 +1,13 @@
 """From a scenario to a certified plan: the one function that plans."""
 
-from dtmpc_drake.planning.certificate import Certificate, certify
-from dtmpc_drake.planning.margins import Margin
-from dtmpc_drake.planning.planner import PlanningResult, plan, plan_problem
+from dtmpc_drake.planning.planner import plan, plan_problem
 from dtmpc_drake.planning.problem import Problem
-from dtmpc_drake.planning.replanning import Decision, replan, shortest_duration
-from dtmpc_drake.planning.scp import Iteration
+from dtmpc_drake.planning.proof.certify import certify
+from dtmpc_drake.planning.replanning import replan, shortest_duration
+from dtmpc_drake.records.certificate import Certificate
+from dtmpc_drake.records.margin import Margin
+from dtmpc_drake.records.replan import Decision
+from dtmpc_drake.records.result import Iteration, PlanningResult
 
 __all__ = [
     "Certificate",

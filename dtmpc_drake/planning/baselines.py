@@ -25,19 +25,21 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from dtmpc_drake.layer import layer_pieces
+from dtmpc_drake.method.layer import layer_pieces
+from dtmpc_drake.method.sliding import gain_crossover
+from dtmpc_drake.method.tube import propagate
 from dtmpc_drake.models import ConstantUncertainty
-from dtmpc_drake.plan import Plan
-from dtmpc_drake.planning.certificate import Certificate, certify
-from dtmpc_drake.planning.planner import PlanningResult, Status, plan_problem
+from dtmpc_drake.planning.planner import plan_problem
 from dtmpc_drake.planning.problem import Problem
+from dtmpc_drake.planning.proof.certify import certify
+from dtmpc_drake.records.certificate import Certificate
+from dtmpc_drake.records.plan import Plan
+from dtmpc_drake.records.result import PlanningResult, Status
 from dtmpc_drake.scenario import Planner, Scenario
-from dtmpc_drake.sliding import gain_crossover
-from dtmpc_drake.tube import propagate
 
 STEPS, HALVINGS = 7, 2
 """Of a sweep: steps from the highest bandwidth to the lowest, and how often they are
@@ -60,7 +62,7 @@ TITLES = {
 """Of each baseline; DTMPC itself is `both`."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Baseline:
     """One way to plan a scenario.
 
@@ -73,8 +75,6 @@ class Baseline:
     name: str
     scenario: Scenario
     problem: Problem
-
-    __hash__: ClassVar[None]  # type: ignore[assignment]
 
     @property
     def title(self) -> str:
@@ -116,7 +116,7 @@ class SweepPoint:
     cost: float | None
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Outcome:
     """What planning a baseline ended with.
 
@@ -138,8 +138,6 @@ class Outcome:
     certificate: Certificate | None
     plan_time: float
     sweep: tuple[SweepPoint, ...] = ()
-
-    __hash__: ClassVar[None]  # type: ignore[assignment]
 
     @property
     def certified(self) -> bool:

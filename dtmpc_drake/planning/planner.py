@@ -5,36 +5,29 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable
-from typing import ClassVar, Literal
 
 import numpy as np
 
-from dtmpc_drake.models import Array
-from dtmpc_drake.plan import Plan
-from dtmpc_drake.planning import splines
-from dtmpc_drake.planning.best_side import (
-    Candidate,
-    candidates_table,
-    plan_best_side,
-)
-from dtmpc_drake.planning.certificate import OF_THE_SAMPLES, Certificate, certify
-from dtmpc_drake.planning.curvature import Multipliers
+from dtmpc_drake.numerics import splines
+from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.planning.deadline import Deadline
-from dtmpc_drake.planning.nlp import solve_nlp
+from dtmpc_drake.planning.ipopt.solver import solve_nlp
 from dtmpc_drake.planning.problem import Problem
-from dtmpc_drake.planning.scp import (
-    BACKOFF,
+from dtmpc_drake.planning.proof.certify import OF_THE_SAMPLES, certify
+from dtmpc_drake.planning.scp.algorithm import (
     MAX_PENALTY,
-    PENALTY,
     Effort,
-    Iteration,
     Result,
     iterate_to_convergence,
 )
+from dtmpc_drake.planning.scp.curvature import Multipliers
+from dtmpc_drake.planning.scp.linearise import BACKOFF, PENALTY
+from dtmpc_drake.planning.search.best_side import plan_best_side
 from dtmpc_drake.planning.transcription import Guess, Iterate, Transcription
+from dtmpc_drake.records.certificate import Certificate
+from dtmpc_drake.records.plan import Plan
+from dtmpc_drake.records.result import Iteration, PlanningResult, Status
 from dtmpc_drake.scenario import Planner, Scenario
-
-Status = Literal["certified", "not_certified", "infeasible", "failed"]
 
 TOLERANCE = 0.025
 """Iterations stop when the next one promises less than this part of the cost."""
@@ -44,94 +37,6 @@ NEAREST = 0.3
 """Reach near a solution; from a cold start it is larger, see `Transcription`."""
 COARSE_ITERATIONS = 2
 """On each of the coarser grids: they only have to find the way."""
-
-# Title, width, field of `Iteration`, format.
-_COLUMNS = (
-    ("N", 3, "intervals", "d"),
-    ("cost", 9, "cost", ".4f"),
-    ("violation", 9, "violation", ".2e"),
-    ("slack", 8, "slack", ".1e"),
-    ("defect", 8, "defect", ".1e"),
-    ("step", 7, "step", ".4f"),
-    ("fraction", 8, "fraction", ".3f"),
-    ("trust", 7, "proximity", ".1e"),
-    ("predicted", 9, "predicted", ".2e"),
-    ("update s", 8, "update_time", ".4f"),
-    ("solve s", 8, "solve_time", ".4f"),
-    ("eval s", 8, "evaluate_time", ".4f"),
-    ("solver", 8, "status", ""),
-)
-
-
-@dataclasses.dataclass(frozen=True, repr=False)
-class PlanningResult:
-    """What planning ended with; a failed solve is a status, not an exception.
-
-    Attributes:
-        status: ``certified``; ``not_certified`` (solved, but a margin is
-            negative or a bound not proven); ``infeasible`` (constraints cannot
-            be met from this start); ``failed`` (the solver gave up, or its time was
-            over).
-        message: one line that says which margin or constraint, where and when.
-        plan: the plan if solved, else None.
-        attempt: the last iterate as a plan, whatever the status; never to fly.
-        certificate: of `attempt`.
-        cost: of `attempt`.
-        history: every convex program, coarse grids first.
-        times: ``update``, ``solve``, ``evaluate``, ``certify`` and ``total``, s.
-        backend: that solved it.
-        problem: that was solved.
-        candidates: of the search for the best sides, the best first; empty
-            without a search.
-    """
-
-    status: Status
-    message: str
-    plan: Plan | None
-    attempt: Plan | None
-    certificate: Certificate | None
-    cost: float
-    history: tuple[Iteration, ...]
-    times: dict[str, float]
-    backend: str
-    problem: Problem
-    candidates: tuple[Candidate, ...] = ()
-
-    __hash__: ClassVar[None]  # type: ignore[assignment]
-
-    @property
-    def certified(self) -> bool:
-        """Whether the plan is certified."""
-        return self.status == "certified"
-
-    def table(self) -> str:
-        """The history as text."""
-        return "\n".join([table_header(), *map(table_row, self.history)])
-
-    def candidates_table(self) -> str:
-        """The candidates of the search as text, with a star at the chosen one."""
-        return candidates_table(self.candidates)
-
-    def __repr__(self) -> str:
-        """Status, cost, time and the message."""
-        return (
-            f"PlanningResult({self.status}, cost {self.cost:.3f}, "
-            f"{len(self.history)} iterations in {self.times['total']:.3f} s on "
-            f"{self.backend}: {self.message})"
-        )
-
-
-def table_header() -> str:
-    """The header of the history's table."""
-    return " ".join(title.rjust(width) for title, width, _, _ in _COLUMNS)
-
-
-def table_row(iteration: Iteration) -> str:
-    """One row of the history's table."""
-    return " ".join(
-        format(getattr(iteration, field), form).rjust(width)
-        for _, width, field, form in _COLUMNS
-    )
 
 
 def plan(

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import ClassVar
 
 import numpy as np
 
-from dtmpc_drake.models import Array, Model
+from dtmpc_drake.method.tube import VelocityBound
+from dtmpc_drake.models import Model
+from dtmpc_drake.numerics.arrays import Array, BoolArray
 from dtmpc_drake.obstacles import ObstacleSet
 from dtmpc_drake.scenario import Scenario
-from dtmpc_drake.sensing import BoolArray
-from dtmpc_drake.tube import VelocityBound
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Problem:
     """One dynamic tube MPC problem (the paper's Problem 2), for any model.
 
@@ -63,8 +62,6 @@ class Problem:
     velocity_bound: VelocityBound
     start_highest: Array | None = None
     start_bandwidth: Array | None = None
-
-    __hash__: ClassVar[None]  # type: ignore[assignment]
 
     @classmethod
     def from_scenario(

@@ -3,32 +3,32 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import ClassVar
 
 import numpy as np
 
-from dtmpc_drake.models import Array
-from dtmpc_drake.plan import FloatArray, Plan
-from dtmpc_drake.planning.certificate import clearance_ahead
-from dtmpc_drake.planning.deadline import Deadline
-from dtmpc_drake.planning.planner import PlanningResult, plan_problem
-from dtmpc_drake.planning.problem import Problem
-from dtmpc_drake.replan import Outcome
-from dtmpc_drake.scenario import Scenario
-from dtmpc_drake.sensing import BoolArray, stopping_time
-from dtmpc_drake.sliding import (
+from dtmpc_drake.method.sliding import (
     bandwidth,
     sliding_variable,
     surface_coefficients,
     switching_gain,
 )
-from dtmpc_drake.tightening import input_bound
-from dtmpc_drake.tube import (
+from dtmpc_drake.method.stopping import stopping_time
+from dtmpc_drake.method.tightening import input_bound
+from dtmpc_drake.method.tube import (
     Tube,
     initial_stages,
     propagate_error_bounds,
     stages_of_bounds,
 )
+from dtmpc_drake.numerics.arrays import Array, BoolArray, FloatArray
+from dtmpc_drake.planning.deadline import Deadline
+from dtmpc_drake.planning.planner import plan_problem
+from dtmpc_drake.planning.problem import Problem
+from dtmpc_drake.planning.proof.certify import clearance_ahead
+from dtmpc_drake.records.plan import Plan
+from dtmpc_drake.records.replan import Decision, Outcome
+from dtmpc_drake.records.result import PlanningResult
+from dtmpc_drake.scenario import Scenario
 
 BRAKING = (0.6, 0.4, 0.25, 0.9)
 """Parts of the input that the feedback leaves, with which stops are tried, in order.
@@ -43,28 +43,7 @@ CARRY_STEP = 5e-3
 """Step at most, with which the measured error is carried to the hand-over, in s."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Decision:
-    """What is to be flown next.
-
-    Attributes:
-        status: ``certified``, ``kept``, ``braking`` or ``unsafe``; see `Replan`.
-        message: one line.
-        plan: to take over, or None to keep the old one.
-        cost: of the plan.
-        iterations: convex programs that were solved, whatever came of them.
-    """
-
-    status: Outcome
-    message: str
-    plan: Plan | None
-    cost: float | None
-    iterations: int
-
-    __hash__: ClassVar[None]  # type: ignore[assignment]
-
-
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Slowed:
     """An old plan flown ever more slowly until it rests: where a stop starts from.
 
@@ -79,8 +58,6 @@ class Slowed:
     start: float
     duration: float
     highest_bandwidth: Array
-
-    __hash__: ClassVar[None]  # type: ignore[assignment]
 
     def reference(self, time: FloatArray | float) -> FloatArray:
         """See `Plan.reference`; only the position is right."""

@@ -15,19 +15,20 @@ from __future__ import annotations
 import dataclasses
 from functools import cached_property, lru_cache
 from math import ceil, log2
-from typing import Any, ClassVar, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg
 
-from dtmpc_drake.layer import layer_pieces
-from dtmpc_drake.models import Array, ConstantUncertainty
-from dtmpc_drake.plan import FloatArray, Plan
-from dtmpc_drake.planning import splines
+from dtmpc_drake.method.layer import layer_pieces
+from dtmpc_drake.method.tightening import input_bound, rate_bound
+from dtmpc_drake.method.tube import Tube, cascade_bound, filter_rates, propagate
+from dtmpc_drake.models import ConstantUncertainty
+from dtmpc_drake.numerics import splines
+from dtmpc_drake.numerics.arrays import Array, FloatArray
 from dtmpc_drake.planning.problem import Problem
-from dtmpc_drake.tightening import input_bound, rate_bound
-from dtmpc_drake.tube import Tube, cascade_bound, filter_rates, propagate
+from dtmpc_drake.records.plan import Plan
 
 HAIR = 2e-3
 """By how much the bandwidth stays inside its limits, relative."""
@@ -148,7 +149,7 @@ class Halfplanes:
         )
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Iterate:
     """Decisions, the exact tube that follows, and what they cost.
 
@@ -180,8 +181,6 @@ class Iterate:
     input_margin: Array
     error_margin: Array
     cost: float
-
-    __hash__: ClassVar[None]  # type: ignore[assignment]
 
 
 class Transcription:

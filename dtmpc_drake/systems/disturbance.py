@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import ClassVar, assert_never, get_args
+from typing import assert_never, get_args
 
 import numpy as np
 from pydrake.common import RandomDistribution
@@ -32,7 +32,8 @@ from pydrake.systems.primitives import (
     Saturation,
 )
 
-from dtmpc_drake.models import Array, Model
+from dtmpc_drake.models import Model
+from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.scenario import (
     BangBang,
     ColoredWind,
@@ -42,7 +43,7 @@ from dtmpc_drake.scenario import (
     UniformHold,
     WorstCase,
 )
-from dtmpc_drake.scenario_schema import require_kind
+from dtmpc_drake.scenario.typed import require_kind
 from dtmpc_drake.systems.gusts import Gusts
 from dtmpc_drake.systems.model_error import ModelError
 from dtmpc_drake.systems.relay import Relay
@@ -152,7 +153,7 @@ def SeedTrials(disturbance: Diagram, context: Context, seeds: Sequence[int]) -> 
         noise.SetSeeds(noise.GetMyMutableContextFromRoot(context), seeds)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class _Parts:
     """Adds to a diagram what disturbances are made of; see `MakeDisturbance`."""
 
@@ -162,8 +163,6 @@ class _Parts:
     trials: int | None
     duration: float
     exported: set[str] = dataclasses.field(default_factory=set)
-
-    __hash__: ClassVar[None]  # type: ignore[assignment]
 
     def noise(
         self, distribution: RandomDistribution, hold: float, num_outputs: int = 0

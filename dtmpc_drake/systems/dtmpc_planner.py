@@ -5,21 +5,21 @@ from __future__ import annotations
 import dataclasses
 import math
 from time import perf_counter
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import EventStatus, LeafSystem
 
-from dtmpc_drake import tube
-from dtmpc_drake.layer import layer_pieces
-from dtmpc_drake.plan import Plan
+from dtmpc_drake.method import tube
+from dtmpc_drake.method.layer import layer_pieces
+from dtmpc_drake.method.sliding import sliding_variable
+from dtmpc_drake.numerics.arrays import BoolArray
 from dtmpc_drake.planning import Problem, plan_problem, replan, shortest_duration
 from dtmpc_drake.planning.transcription import HAIR
-from dtmpc_drake.replan import Replan
+from dtmpc_drake.records.plan import Plan
+from dtmpc_drake.records.replan import Replan
 from dtmpc_drake.scenario import Scenario
-from dtmpc_drake.sensing import BoolArray
-from dtmpc_drake.sliding import sliding_variable
 from dtmpc_drake.systems.obstacle_sensor import EvalMeasuredObstacles
 
 _HOLD_STEPS = 400
@@ -76,7 +76,7 @@ def hold_plan(scenario: Scenario) -> Plan:
     )
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class _Memory:
     """What a planner remembers beside its plan; never changed, only replaced.
 
@@ -89,8 +89,6 @@ class _Memory:
     replans: tuple[Replan, ...]
     pending: Replan | None
     known: BoolArray
-
-    __hash__: ClassVar[None]  # type: ignore[assignment]
 
     def __deepcopy__(self, memo: dict[int, Any]) -> _Memory:
         return self

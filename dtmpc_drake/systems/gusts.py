@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import EventStatus, LeafSystem
 
-from dtmpc_drake.models import Array
+from dtmpc_drake.numerics.arrays import Array
 
 
 class Gusts(LeafSystem):

@@ -8,8 +8,8 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import EventStatus, LeafSystem
 
+from dtmpc_drake.numerics.arrays import BoolArray
 from dtmpc_drake.scenario import Scenario
-from dtmpc_drake.sensing import BoolArray
 
 
 class ObstacleSensor(LeafSystem):

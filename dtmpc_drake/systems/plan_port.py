@@ -6,7 +6,7 @@ from typing import Any
 
 from pydrake.common.value import Value
 
-from dtmpc_drake.plan import Plan
+from dtmpc_drake.records.plan import Plan
 
 
 def DeclarePlanInputPort(system: Any) -> Any:

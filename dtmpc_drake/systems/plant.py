@@ -14,7 +14,8 @@ from pydrake.systems.framework import (
 )
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from dtmpc_drake.models import Array, Model
+from dtmpc_drake.models import Model
+from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.systems.side_by_side import unflattened
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dtmpc_drake.models import Array
+from dtmpc_drake.numerics.arrays import Array
 
 
 def unflattened(values: Array, shape: tuple[int, ...], *, trials: bool) -> Array:

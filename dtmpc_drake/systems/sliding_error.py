@@ -6,8 +6,8 @@ from typing import Any
 
 from pydrake.systems.framework import LeafSystem
 
-from dtmpc_drake.models import Array
-from dtmpc_drake.sliding import sliding_variable
+from dtmpc_drake.method.sliding import sliding_variable
+from dtmpc_drake.numerics.arrays import Array
 
 
 class SlidingError(LeafSystem):

@@ -11,7 +11,7 @@ from pydrake.symbolic import Expression
 from pydrake.systems.framework import LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from dtmpc_drake import sliding
+from dtmpc_drake.method import sliding
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.systems.plan_port import DeclarePlanInputPort, EvalPlan
 from dtmpc_drake.systems.side_by_side import unflattened

@@ -16,7 +16,7 @@ from pydrake.systems.framework import (
 )
 from pydrake.systems.primitives import RandomSource
 
-from dtmpc_drake.models import Array
+from dtmpc_drake.numerics.arrays import Array
 
 
 class TrialNoise(LeafSystem):

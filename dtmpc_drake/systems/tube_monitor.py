@@ -12,11 +12,11 @@ from pydrake.systems.framework import (
     OutputPort,
 )
 
-from dtmpc_drake import verdict
-from dtmpc_drake.models import Array
-from dtmpc_drake.plan import Plan
+from dtmpc_drake.method.sliding import sliding_variable
+from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.records import verdict
+from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import Scenario
-from dtmpc_drake.sliding import sliding_variable
 from dtmpc_drake.systems.plan_port import DeclarePlanInputPort, EvalPlan
 from dtmpc_drake.systems.side_by_side import unflattened
 

@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from dtmpc_drake.plan import FloatArray, Plan
+from dtmpc_drake.numerics.arrays import FloatArray
+from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.visualization.figures import View
 from dtmpc_drake.visualization.style import (

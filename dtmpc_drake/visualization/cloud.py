@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from dtmpc_drake.plan import FloatArray
+from dtmpc_drake.numerics.arrays import FloatArray
 from dtmpc_drake.visualization.style import BLACK, BLUE, LIGHT_GREY, VERMILION
 
 _BANDS = ((0.0, 1.0, 0.18), (0.05, 0.95, 0.3), (0.25, 0.75, 0.5))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -18,11 +18,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import ConnectionPatch, Patch, PathPatch, Polygon, Rectangle
 from matplotlib.path import Path
 
-from dtmpc_drake.models import Array
-from dtmpc_drake.plan import FloatArray, Plan
+from dtmpc_drake.method.sliding import sliding_variable, switching_gain
+from dtmpc_drake.method.tightening import input_bound, rate_bound
+from dtmpc_drake.numerics.arrays import Array, FloatArray
+from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import Scenario
-from dtmpc_drake.sliding import sliding_variable, switching_gain
-from dtmpc_drake.tightening import input_bound, rate_bound
 from dtmpc_drake.visualization.geometry import (
     Ellipse,
     obstacle_intervals,
@@ -91,7 +91,7 @@ def plot_plan(
     return _plot_from_above(scenario, plan, clouds, color_by)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Cloud:
     """Flights that are drawn alike.
 
@@ -108,8 +108,6 @@ class Cloud:
     width: float
     alpha: float
     paths: FloatArray
-
-    __hash__: ClassVar[None]  # type: ignore[assignment]
 
     @classmethod
     def of(cls, position: FloatArray | Mapping[str, FloatArray] | None) -> list[Cloud]:
@@ -150,7 +148,7 @@ class Cloud:
 # From above.
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class View:
     """What a look from above shows, in any window.
 
@@ -169,8 +167,6 @@ class View:
     clouds: Sequence[Cloud]
     obstacles: list[tuple[Ellipse | None, Ellipse]]
     coloring: Coloring
-
-    __hash__: ClassVar[None]  # type: ignore[assignment]
 
     @classmethod
     def from_above(
@@ -311,7 +307,7 @@ def _plot_from_above(
     return figure
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Panel:
     """One of several plans in a figure.
 
@@ -322,8 +318,6 @@ class Panel:
 
     title: str
     plan: Plan
-
-    __hash__: ClassVar[None]  # type: ignore[assignment]
 
 
 def plot_plans(

@@ -7,13 +7,12 @@ planar vehicle moves in the plane z = 0 and a single output along y.
 from __future__ import annotations
 
 import dataclasses
-from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
+from dtmpc_drake.numerics.arrays import FloatArray
 from dtmpc_drake.obstacles import ObstacleSet
-from dtmpc_drake.plan import FloatArray
 
 _UNBOUNDED = 1e-9
 """Below this relative singular value an obstacle has no end in a direction."""
@@ -31,7 +30,7 @@ def missing_axes(num_outputs: int) -> FloatArray:
     return np.asarray(1.0 - embedding(num_outputs).sum(axis=1))
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Ellipse:
     """The points ``center + axes @ w`` with ``‖w‖ <= 1``, in the plane x, y.
 
@@ -42,8 +41,6 @@ class Ellipse:
 
     center: FloatArray
     axes: FloatArray
-
-    __hash__: ClassVar[None]  # type: ignore[assignment]
 
     def outline(self, count: int = 181) -> FloatArray:
         """Points on the boundary, ``(count, 2)``, the last one the first."""
@@ -105,7 +102,7 @@ def _half_axes(Q: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.sqrt(np.maximum(values, 1e-8)))
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Solid:
     """An obstacle as an affine image of a primitive.
 
@@ -118,8 +115,6 @@ class Solid:
 
     rank: int
     transform: FloatArray
-
-    __hash__: ClassVar[None]  # type: ignore[assignment]
 
 
 def obstacle_solids(

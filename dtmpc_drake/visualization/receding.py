@@ -14,8 +14,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from matplotlib.ticker import MaxNLocator
 
-from dtmpc_drake.plan import FloatArray, Plan
-from dtmpc_drake.replan import Replan, flown_plan, plans_in_force
+from dtmpc_drake.numerics.arrays import FloatArray
+from dtmpc_drake.records.plan import Plan
+from dtmpc_drake.records.replan import Replan, flown_plan, plans_in_force
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.visualization.figures import Cloud, View, color_bar
 from dtmpc_drake.visualization.style import (

@@ -32,8 +32,9 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform, RotationMatrix
 
 from dtmpc_drake.logs import quiet
-from dtmpc_drake.plan import FloatArray, Plan
-from dtmpc_drake.replan import Replan, plans_in_force
+from dtmpc_drake.numerics.arrays import FloatArray
+from dtmpc_drake.records.plan import Plan
+from dtmpc_drake.records.replan import Replan, plans_in_force
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.visualization.geometry import (
     embedding,

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Sequence
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import Colormap, LinearSegmentedColormap
 
-from dtmpc_drake.plan import FloatArray, Plan
+from dtmpc_drake.numerics.arrays import FloatArray
+from dtmpc_drake.records.plan import Plan
 
 ColorBy = Literal["bandwidth", "speed"]
 
@@ -44,7 +45,7 @@ def drawn_period(plan: Plan, period: float) -> float:
     return max(period, (plan.end_time - plan.start_time) / _MOST_SAMPLES)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Coloring:
     """What the colours along a plan mean.
 
@@ -62,8 +63,6 @@ class Coloring:
     low: float
     high: float
     colormap: Colormap
-
-    __hash__: ClassVar[None]  # type: ignore[assignment]
 
     @classmethod
     def along(

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from diagrams.table import text_table
-from dtmpc_drake.models import Array
-from dtmpc_drake.planning import PlanningResult
+from dtmpc_drake.experiments.tables import text_table
+from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.records.result import PlanningResult
 from tests.benchmarks.casadi_peer import Solution
 
 STAGES = ("update", "solve", "evaluate", "certify", "other")

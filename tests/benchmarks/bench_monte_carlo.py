@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from diagrams.closed_loop import Simulate
-from diagrams.monte_carlo import Batch, fly
+from dtmpc_drake.diagrams import Simulate
+from dtmpc_drake.experiments.monte_carlo import Batch, fly
 from dtmpc_drake.planning import plan
 from dtmpc_drake.scenario import load_scenario
 from tests.benchmarks.bench_common import Section, interleaved, median

@@ -6,7 +6,8 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-from dtmpc_drake.planning import PlanningResult, Problem, plan_problem
+from dtmpc_drake.planning import Problem, plan_problem
+from dtmpc_drake.records.result import PlanningResult
 from dtmpc_drake.scenario import load_scenario
 from tests.benchmarks.bench_common import (
     STAGES,

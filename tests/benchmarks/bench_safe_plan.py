@@ -10,7 +10,8 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from dtmpc_drake.planning import PlanningResult, Problem, certify, plan_problem
+from dtmpc_drake.planning import Problem, certify, plan_problem
+from dtmpc_drake.records.result import PlanningResult
 from dtmpc_drake.scenario import Planner, load_scenario
 from tests.benchmarks.bench_common import (
     Section,

@@ -27,10 +27,11 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from dtmpc_drake.models import Array, DragDoubleIntegrator
-from dtmpc_drake.plan import Plan
+from dtmpc_drake.models import DragDoubleIntegrator
+from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.planning.transcription import Transcription
+from dtmpc_drake.records.plan import Plan
 
 TOLERANCE = 1e-6
 """IPOPT's ``tol``."""

@@ -1,1 +1,0 @@
-"""Experiments: diagrams built from the library, and the command line."""

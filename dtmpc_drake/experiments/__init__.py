@@ -1,0 +1,1 @@
+"""What the command line runs: plan, fly, draw and write files."""

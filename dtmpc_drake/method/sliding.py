@@ -1,0 +1,177 @@
+"""Boundary-layer sliding control (the paper's section IV): pure functions.
+
+Shapes: an error or a reference has shape ``(..., n, m)`` with the derivatives
+along the last but one axis; slope, gain and layer have shape ``(..., m)``.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import comb
+
+import numpy as np
+from pydrake.math import max as drake_max
+from pydrake.math import min as drake_min
+
+from dtmpc_drake.models import Model
+from dtmpc_drake.numerics.arrays import Array
+
+
+def surface_coefficients(slope: Array, order: int) -> Array:
+    """c_k = C(n-1, k) λ^(n-1-k), so that s = Σ_k c_k ỹ^(k)  (eq. s).
+
+    Args:
+        slope: λ, shape ``(..., m)``, in 1/s.
+        order: n.
+
+    Returns:
+        Shape ``(..., n, m)``; the last row is one.  Read-only if ``(n, m)``.
+    """
+    if slope.ndim == 1 and slope.dtype != object:
+        return _kept_coefficients(tuple(slope.tolist()), order)
+    return np.stack(
+        [comb(order - 1, k) * slope ** (order - 1 - k) for k in range(order)], axis=-2
+    )
+
+
+@lru_cache
+def _kept_coefficients(slope: tuple[float, ...], order: int) -> Array:
+    """A flight asks for the same ones at every stage of every step."""
+    (coefficients,) = surface_coefficients(np.array(slope)[None], order)
+    coefficients.flags.writeable = False
+    return np.asarray(coefficients)
+
+
+def _weighted_sum(weights: Array, rows: Array) -> Array:
+    """Σ_k w_k row_k, row by row: NumPy's own sum is slow along so short an axis.
+
+    Args:
+        weights: shape ``(..., n, m)``.
+        rows: shape ``(..., n, m)``.
+
+    Returns:
+        Shape ``(..., m)``; zero without rows.
+    """
+    terms = [weights[..., k, :] * rows[..., k, :] for k in range(rows.shape[-2])]
+    return np.asarray(sum(terms[1:], start=terms[0]) if terms else rows.sum(axis=-2))
+
+
+def sliding_variable(error: Array, slope: Array) -> Array:
+    """S = (d/dt + λ)^(n-1) ỹ  (eq. s), shape ``(..., m)``."""
+    return _weighted_sum(surface_coefficients(slope, error.shape[-2]), error)
+
+
+def saturation(value: Array) -> Array:
+    """sat: the identity on [-1, 1], constant outside; generic in the scalar."""
+    if value.dtype != object:
+        return np.minimum(np.maximum(value, -1.0), 1.0)  # np.clip is slower
+    flat = [drake_max(drake_min(v, v * 0 + 1.0), v * 0 - 1.0) for v in value.flat]
+    return np.array(flat, dtype=object).reshape(value.shape)
+
+
+def switching_gain(
+    *,
+    model_error_bound: Array,
+    disturbance_bound: Array,
+    reaching_rate: float,
+    boundary_layer_rate: Array,
+) -> Array:
+    """K(x) = Δ(x) + D + η - dΦ*/dt  (eq. K), in output unit / s^n."""
+    return np.asarray(
+        model_error_bound + disturbance_bound + reaching_rate - boundary_layer_rate
+    )
+
+
+def bandwidth(*, gain: Array, boundary_layer: Array) -> Array:
+    """α = K(x*) / Φ*: the bandwidth that the layer implies (eq. phidot), rad/s."""
+    return np.asarray(gain / boundary_layer)
+
+
+def gain_crossover(*, bandwidth: Array, slope: Array, order: int) -> Array:
+    """ω_c, the bandwidth of the whole loop: the largest ω at which |L(jω)| = 1.
+
+    Inside the layer the control law is linear in ỹ, but for F̂, which it cancels.  With
+    p the Laplace variable the loop, broken at the plant's input, is
+
+        L(p) = [(p + α)(p + λ)^(n-1) - p^n] / p^n.
+
+    So α is the bandwidth of the whole loop only for n = 1.  For n = 2,
+    ω_c² = [(α + λ)² + √((α + λ)⁴ + 4α²λ²)] / 2.  Whatever α and λ, ω_c is within a
+    few per cent of α + (n - 1) λ.
+
+    Args:
+        bandwidth: α, shape ``(..., m)``, in rad/s; where it varies, ω_c is that of
+            the loop with α as it is at the time.
+        slope: λ, shape ``(m,)``, in 1/s.
+        order: n.
+
+    Returns:
+        Shape ``(..., m)``, in rad/s.
+    """
+    scale = bandwidth + (order - 1) * slope  # the leading term of p^n L, so near ω_c
+    c = surface_coefficients(np.broadcast_to(slope, scale.shape) / scale, order)
+    # The numerator's coefficients of p^k, with time in units of 1 / scale.
+    numerator = c * (bandwidth / scale)[..., None, :]
+    numerator[..., 1:, :] += c[..., :-1, :]
+    # |numerator(jω)|² in powers of ω²: i^(k-l) is real where k + l is even.
+    power = np.zeros_like(numerator)
+    for k in range(order):
+        for j in range(k % 2, order, 2):
+            sign = (-1.0) ** ((k - j) // 2)
+            power[..., (k + j) // 2, :] += (
+                sign * numerator[..., k, :] * numerator[..., j, :]
+            )
+    # Companion matrices of ω^(2n) - |numerator|², whose roots are ω².
+    companion = np.zeros((*scale.shape, order, order))
+    companion[..., 1:, :-1] = np.eye(order - 1)
+    companion[..., :, -1] = np.moveaxis(power, -2, -1)
+    roots = np.linalg.eigvals(companion)
+    crossings = np.where(abs(roots.imag) <= 1e-6 * abs(roots), roots.real, 0.0)
+    return np.asarray(scale * np.sqrt(crossings.max(axis=-1)))
+
+
+def control(
+    *,
+    model: Model,
+    state: Array,
+    reference: Array,
+    boundary_layer: Array,
+    boundary_layer_rate: Array,
+    slope: Array,
+    disturbance_bound: Array,
+    reaching_rate: float,
+) -> Array:
+    """The tracking control law u  (eq. u, in the form of eq. uff).
+
+    Args:
+        model: gives F̂, B⁻¹ and Δ.
+        state: x, shape ``(..., n, m)``.
+        reference: y* and its derivatives up to the n-th, ``(..., n + 1, m)``.
+        boundary_layer: Φ*, ``(..., m)``.
+        boundary_layer_rate: the exact dΦ*/dt, ``(..., m)``.
+        slope: λ, ``(m,)``.
+        disturbance_bound: D, ``(m,)``.
+        reaching_rate: η.
+
+    Returns:
+        u, shape ``(..., m)``.
+    """
+    order = model.order
+    error = state - reference[..., :order, :]
+    coefficients = surface_coefficients(slope, order)
+    # y_r^(n) = y*^(n) - Σ_{k=1}^{n-1} C(n-1, k-1) λ^(n-k) ỹ^(k)
+    damping = _weighted_sum(coefficients[..., :-1, :], error[..., 1:, :])
+    gain = switching_gain(
+        model_error_bound=model.model_error_bound(state),
+        disturbance_bound=disturbance_bound,
+        reaching_rate=reaching_rate,
+        boundary_layer_rate=boundary_layer_rate,
+    )
+    s = _weighted_sum(coefficients, error)
+    demand = (
+        reference[..., order, :]
+        - model.drift(state)
+        - damping
+        - gain * saturation(s / boundary_layer)
+    )
+    return model.input_for(state, demand)

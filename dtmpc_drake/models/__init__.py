@@ -1,0 +1,19 @@
+"""What a planner and a controller may know about a plant, one model a file.
+
+A model answers for itself: its nominal dynamics, the bound of its error, and the bounds
+of both over a box.  Nothing of limits, tubes or plans may enter here.
+"""
+
+from dtmpc_drake.models.base import Model
+from dtmpc_drake.models.chain import IntegratorChain
+from dtmpc_drake.models.constant import ConstantUncertainty
+from dtmpc_drake.models.drag import DragDoubleIntegrator
+from dtmpc_drake.models.sampled import SampledBoxBounds
+
+__all__ = [
+    "ConstantUncertainty",
+    "DragDoubleIntegrator",
+    "IntegratorChain",
+    "Model",
+    "SampledBoxBounds",
+]

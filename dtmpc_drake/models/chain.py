@@ -1,0 +1,70 @@
+"""Chains of integrators with an additive model error."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from dtmpc_drake.models.base import Model
+from dtmpc_drake.numerics.arrays import Array
+
+
+@dataclasses.dataclass
+class IntegratorChain(Model):
+    """m chains of n integrators with an additive model error, B = I.
+
+    ``y^(n) = u + f̃ + d`` with ``|f̃| <= error_bound`` on every output.
+
+    Attributes:
+        num_outputs: m.
+        order: n.
+        error_bound: Δ, one number for all outputs, in output unit / s^n.
+    """
+
+    num_outputs: int = 3
+    order: int = 2
+    error_bound: float = 0.0
+
+    # The true model error of every output, in output unit / s^n.
+    parameter_names = ("model_error",)
+
+    def drift(self, x: Array) -> Array:
+        """F̂ = 0."""
+        return np.asarray(0.0 * x[..., 0, :])
+
+    def true_drift(self, x: Array, parameters: Mapping[str, Any]) -> Array:
+        """F = f̃, the same on every output."""
+        error = np.asarray(parameters["model_error"])[..., None]
+        return np.asarray(self.drift(x) + error)
+
+    def model_error_bound(self, x: Array) -> Array:
+        """Δ, a constant."""
+        return np.asarray(self.drift(x) + self.error_bound)
+
+    def drift_bound(self, x: Array, radius: Array) -> Array:
+        """See base class."""
+        return self.drift(x)
+
+    def model_error_bound_over(self, x: Array, radius: Array) -> Array:
+        """See base class."""
+        return self.model_error_bound(x)
+
+    def model_error_bound_under(self, x: Array, radius: Array) -> Array:
+        """See base class."""
+        return self.model_error_bound(x)
+
+    @property
+    def error_bound_varies(self) -> bool:
+        """See base class."""
+        return False
+
+    def constant_model_error_bound(self, speed: float) -> Array:
+        """Δ itself."""
+        return np.full(self.num_outputs, self.error_bound)
+
+    def parameter_interval(self, name: str) -> tuple[float, float]:
+        """See base class."""
+        if name != "model_error":
+            raise KeyError(name)
+        return -self.error_bound, self.error_bound

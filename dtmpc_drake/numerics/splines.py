@@ -1,0 +1,141 @@
+"""Uniform B-splines: the reference with its dynamics eliminated.
+
+A first-order hold on y^(n) makes y a spline of degree n + 1 on the knot grid.
+Its B-spline coefficients are a basis of exactly these functions, so the planner
+decides them, and no dynamics constraint is left; every value and every Bézier
+control point depends on n + 2 neighbouring coefficients.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import comb, factorial
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from dtmpc_drake.numerics.arrays import Array
+
+Sparse = Any
+"""A scipy sparse array; scipy is untyped here."""
+
+
+@lru_cache
+def piece_powers(degree: int) -> Array:
+    """One piece in powers of the local time t in [0, 1].
+
+    The Cox-de Boor recursion on equally spaced knots: of the degree d, the j-th of
+    the coefficients that act on a piece has the weight
+    ``b_j^d = ((t + d - j) b_(j-1)^(d-1) + (j + 1 - t) b_j^(d-1)) / d``.
+    Times d! all of them have whole coefficients, so that only the last division
+    rounds.
+
+    Returns:
+        ``(degree + 1 powers, degree + 1 coefficients)``: column j belongs to the
+        j-th of the coefficients that act on the piece.
+    """
+    weights = np.ones((1, 1))
+    for d in range(1, degree + 1):
+        j = np.arange(d + 1.0)
+        # Rows 1 to d are the powers; columns j and j + 1 are b_(j-1) and b_j.
+        below = np.pad(weights, 1)
+        earlier, later = below[:, :-1], below[:, 1:]
+        weights = (d - j) * earlier[1:] + (j + 1) * later[1:] + (earlier - later)[:-1]
+    return weights / factorial(degree)
+
+
+def derivative_powers(powers: Array, derivative: int) -> Array:
+    """Powers of a polynomial's derivative, with respect to local time."""
+    for _ in range(derivative):
+        powers = powers[1:] * np.arange(1, len(powers))[:, None]
+    return powers
+
+
+@lru_cache
+def powers_to_bezier(degree: int) -> Array:
+    """From powers to Bézier control points on [0, 1], square."""
+    return np.array(
+        [
+            [comb(i, j) / comb(degree, j) if j <= i else 0.0 for j in range(degree + 1)]
+            for i in range(degree + 1)
+        ]
+    )
+
+
+@lru_cache
+def elevation(degree: int, to: int) -> Array:
+    """Control points of a higher degree for the same curve, ``(to+1, degree+1)``."""
+    matrix = np.eye(degree + 1)
+    for p in range(degree, to):
+        step = np.zeros((p + 2, p + 1))
+        for i in range(p + 2):
+            if i > 0:
+                step[i, i - 1] = i / (p + 1)
+            if i <= p:
+                step[i, i] = 1 - i / (p + 1)
+        matrix = step @ matrix
+    return matrix
+
+
+def basis(degree: int, derivative: int, points: Array, step: float) -> Array:
+    """Values at local times of one piece, ``(len(points), degree + 1)``."""
+    powers = derivative_powers(piece_powers(degree), derivative)
+    values = points[:, None] ** np.arange(len(powers)) @ powers
+    return np.asarray(values / step**derivative)
+
+
+def control_basis(degree: int, derivative: int, step: float) -> Array:
+    """Control points of a derivative on one piece."""
+    powers = derivative_powers(piece_powers(degree), derivative)
+    return np.asarray(powers_to_bezier(degree - derivative) @ powers / step**derivative)
+
+
+def windows(coefficients: Array, degree: int) -> Array:
+    """The coefficients that act on each piece, ``(N, degree + 1, m)``."""
+    view = np.lib.stride_tricks.sliding_window_view(coefficients, degree + 1, axis=0)
+    return np.asarray(view.swapaxes(1, 2))
+
+
+def knot_operator(intervals: int, degree: int, derivative: int, step: float) -> Sparse:
+    """The derivative at all knots, sparse ``(N + 1, N + degree)``."""
+    start = basis(degree, derivative, np.array([0.0]), step)[0, :degree]
+    return sp.diags_array(
+        [np.full(intervals + 1, v) for v in start],
+        offsets=list(range(degree)),
+        shape=(intervals + 1, intervals + degree),
+    ).tocsr()
+
+
+def midpoint_operator(intervals: int, degree: int) -> Sparse:
+    """Values at all knots and midpoints, sparse ``(2 N + 1, N + degree)``."""
+    points = basis(degree, 0, np.array([0.0, 0.5, 1.0]), 1.0)
+    piece, half = np.divmod(np.arange(2 * intervals + 1), 2)
+    piece[-1], half[-1] = intervals - 1, 2
+    columns = piece[:, None] + np.arange(degree + 1)
+    return sp.csr_array(
+        (
+            points[half].ravel(),
+            columns.ravel(),
+            np.arange(len(piece) + 1) * (degree + 1),
+        ),
+        shape=(len(piece), intervals + degree),
+    )
+
+
+def piece_coefficients(coefficients: Array, degree: int, step: float) -> Array:
+    """Every piece in powers of the time since it began, ``(N, degree + 1, m)``."""
+    powers = piece_powers(degree) / step ** np.arange(degree + 1)[:, None]
+    return np.asarray(powers @ windows(coefficients, degree))
+
+
+def refine(coefficients: Array, degree: int) -> Array:
+    """The same spline on a grid with twice as many intervals."""
+    weights = np.array([comb(degree + 1, k) for k in range(degree + 2)]) / 2**degree
+    count = len(coefficients)
+    up = np.zeros((2 * count - 1, coefficients.shape[1]))
+    up[::2] = coefficients
+    full = np.stack([np.convolve(column, weights) for column in up.T], axis=1)
+    # Keep the coefficients whose support touches the interval.
+    first = degree
+    return full[first : first + 2 * (count - degree) + degree]

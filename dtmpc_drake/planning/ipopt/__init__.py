@@ -1,0 +1,1 @@
+"""The same problem as one nonlinear program, for IPOPT."""

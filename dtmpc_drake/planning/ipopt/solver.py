@@ -1,0 +1,390 @@
+"""The same problem on IPOPT, with its bilinear constraints as they are.
+
+Decisions, cost and constraints are those of the transcription, in the layout of the
+convex programs; the tube obeys its differential equations by Hermite-Simpson
+collocation, and the separating half-planes turn.  Drake's IPOPT has no exact
+Hessian, and SPRAL as its only linear solver: what counts is how many rows and
+variables there are, and that a quasi-Newton method sees no kinks (`nlp_rows`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+from pydrake.solvers import IpoptSolver, MathematicalProgram, SolverOptions
+
+from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.planning.deadline import NEVER, Deadline
+from dtmpc_drake.planning.ipopt.rows import (
+    AtKnots,
+    Collocation,
+    NlpRows,
+    NlpVariables,
+    Separation,
+    add_squares,
+    bound_rows,
+)
+from dtmpc_drake.planning.scp.algorithm import Result, violation
+from dtmpc_drake.planning.scp.linearise import BACKOFF, turned
+from dtmpc_drake.planning.transcription import Iterate, Local, Transcription
+from dtmpc_drake.records.result import Iteration
+
+ROUNDS = 4
+"""Solves at most: each adds the rows that its result shows to be missed and shifts
+the tube by the rest of the collocation's error."""
+BLOCK = 14
+"""So many knots or pieces are evaluated together.  Drake gives every block
+derivatives by all that it reads, so that cost grows with the square of this."""
+STATE_SCALE = 3.0
+"""Of the tube's states, in which the Lagrangian is less curved than in y*^(n)."""
+OPTIONS: dict[str, float | int | str] = {
+    "tol": 1e-4,
+    "constr_viol_tol": 1e-5,
+    # Without a Hessian the last digits of the dual take a third of the iterations; a
+    # cost that stays is enough, since feasibility is measured on the exact tube.
+    "acceptable_tol": 0.5,
+    "acceptable_obj_change_tol": 1e-4,
+    "acceptable_constr_viol_tol": 1e-4,
+    "acceptable_compl_inf_tol": 1e-3,
+    "acceptable_iter": 4,
+    "mu_strategy": "adaptive",
+    "max_iter": 1000,
+    # By default SPRAL matches and orders anew for every matrix, with more fill.
+    "spral_scaling": "none",
+    # Smaller supernodes than SPRAL's own 32 suit rows that read so little.
+    "spral_nemin": 8,
+}
+
+_ALONE = threading.Lock()
+"""Rows in Python let other threads run in the middle of a solve; neither IPOPT nor
+SPRAL promises that two of them may be under way at once."""
+
+
+class _Program:
+    """One nonlinear program around an iterate.
+
+    Args:
+        transcription: of the problem.
+        guess: to start from.
+        correction: by which the exact tube is above the program's, as the guess has
+            it, shaped as `Transcription.tube_states`.
+    """
+
+    def __init__(
+        self, transcription: Transcription, guess: Iterate, correction: Array
+    ) -> None:
+        tr, p = transcription, transcription.problem
+        self.transcription, self._guess = tr, guess
+        self.layout = layout = NlpVariables(tr, planes=len(guess.planes.piece))
+        self.program = MathematicalProgram()
+        self.x = self.program.NewContinuousVariables(layout.size, "x")
+        self.scale = np.ones(layout.size)
+        self.scale[layout.blocks["states"]] = STATE_SCALE
+        # The cost weighs all decisions alike.
+        alike = np.sqrt(p.input_weight / max(p.bandwidth_weight, 1e-6))
+        self.scale[layout.blocks["bandwidth"]] = alike
+        self._exact = layout.pack(tr, guess)
+        self._none, self._shift = np.zeros((2, layout.size))
+        self._shift[layout.blocks["states"]] = correction.ravel()
+        self.program.SetInitialGuess(self.x, self._exact / self.scale)
+        self._add_bounds()
+        self._add_ends()
+        self._add_reference()
+        self._add_bandwidth_rate()
+        for pieces in _blocks(np.arange(tr.intervals)):
+            self._bound(Collocation(tr, layout, pieces), self._none, 0.0, 0.0)
+        self._add_input()
+        self._add_speed()
+        # In the order of the pieces, so that those of a block read the same.
+        for which in _blocks(np.argsort(guess.planes.piece, kind="stable")):
+            rows = Separation(tr, layout, guess, which)
+            self._bound(rows, self._shift, BACKOFF, np.inf)
+        self._add_cost()
+
+    def _bound(
+        self, rows: NlpRows, shift: Array, low: Array | float, high: Array | float
+    ) -> None:
+        bound_rows(
+            self.program,
+            rows,
+            self.x,
+            scale=self.scale,
+            shift=shift,
+            low=low,
+            high=high,
+        )
+
+    def _add_limit(
+        self, knots: Array, function: Callable[[Local], Array], margin: Array
+    ) -> None:
+        """A function may grow by its margin at the guess, both ``(knots, r)``."""
+        for some in _blocks(knots):
+            rows = AtKnots(self.transcription, self.layout, some, function)
+            high = rows.values(self._exact) + margin[some].ravel() - BACKOFF
+            self._bound(rows, self._shift, -np.inf, high)
+
+    def _add_row(self, columns: Array, values: Array, low: float, high: float) -> None:
+        """One linear row; of a matrix Drake does not tell IPOPT the sparsity."""
+        used = values != 0
+        columns = columns[used]
+        row = values[used] * self.scale[columns]
+        self.program.AddLinearConstraint(row, low, high, self.x[columns])
+
+    def _add_box(self, columns: Array, low: Array, high: Array) -> None:
+        scale = self.scale[columns]
+        self.program.AddBoundingBoxConstraint(
+            low / scale, high / scale, self.x[columns]
+        )
+
+    def _add_bounds(self) -> None:
+        """Of the bandwidth; and what is given, which IPOPT leaves out."""
+        tr, p, blocks = (
+            self.transcription,
+            self.transcription.problem,
+            self.layout.blocks,
+        )
+        m = tr.outputs
+        low, high = (
+            np.tile(bound, (tr.intervals + 1, 1))
+            for bound in (tr.bandwidth_low, tr.bandwidth_high)
+        )
+        if p.start_bandwidth is not None:
+            low[0] = high[0] = p.start_bandwidth
+        index = np.arange(self.layout.size)
+        self._add_box(index[blocks["bandwidth"]], low.ravel(), high.ravel())
+        first = index[blocks["states"]][: self.layout.num_states * m]
+        for columns in (first, index[blocks["slack"]]):
+            self._add_box(columns, self._exact[columns], self._exact[columns])
+        if p.start_highest is not None:
+            columns = index[blocks["highest"]][:m]
+            self._add_box(columns, p.start_highest, p.start_highest)
+
+    def _add_ends(self) -> None:
+        tr, p, layout = self.transcription, self.transcription.problem, self.layout
+        m = tr.outputs
+        ends = [(0, k, p.start[k]) for k in range(tr.order)]
+        ends += [(-1, k, p.goal[k]) for k in tr.goal_rows]
+        for knot, k, wanted in ends:
+            rows = layout.local_matrix[k * m : (k + 1) * m]
+            for row, value in zip(rows, wanted, strict=True):
+                self._add_row(layout.knot_columns[knot], row, value, value)
+
+    def _add_reference(self) -> None:
+        """y*^(n) at the knots is what the coefficients say."""
+        m, matrix = self.transcription.outputs, self.layout.highest_matrix
+        for columns in self.layout.knot_columns:
+            read = columns[: matrix.shape[1]]
+            for row, highest in zip(matrix, columns[-m:], strict=True):
+                self._add_row(np.append(read, highest), np.append(row, -1.0), 0.0, 0.0)
+
+    def _add_bandwidth_rate(self) -> None:
+        tr = self.transcription
+        if tr.problem.bandwidth_is_fixed:
+            return
+        block, limit = self.layout.blocks["bandwidth"], tr.bandwidth_change
+        pair = np.array([-1.0, 1.0])
+        for column in range(block.start, block.stop - tr.outputs):
+            self._add_row(np.array([column, column + tr.outputs]), pair, -limit, limit)
+
+    def _add_input(self) -> None:
+        """The input's limit, and that of a constant that stands for Δ."""
+        tr, guess = self.transcription, self._guess
+        knots = np.arange(tr.intervals + 1)
+        # A knot answers for the pieces on both sides.
+        worst = tr.pieces(guess.input_margin).min(axis=1)
+        least = np.minimum(np.append(worst, np.inf), np.append(np.inf, worst))
+        self._add_limit(
+            knots, lambda local: tr.used_input(local)[..., None], least[:, None]
+        )
+        trusted = guess.error_margin[:: tr.tube_steps]
+        if trusted.size:
+            self._add_limit(
+                knots,
+                lambda local: -tr.error_margin(local.state, local.error_bound),
+                trusted,
+            )
+
+    def _add_speed(self) -> None:
+        """Where it comes near its limit; later rounds see where else."""
+        tr, layout, margin = self.transcription, self.layout, self._guess.speed_margin
+        n, m = tr.order, tr.outputs
+        if n == 1:  # the speed at the knots, and a bound that is no state
+            at_knots = np.concatenate([margin[:, 0], margin[-1:, 1]])
+            self._add_limit(
+                np.flatnonzero((at_knots < tr.speed_reach).any(axis=(1, 2))),
+                lambda local: np.stack(
+                    [
+                        tr.used_rate(local) + local.highest,
+                        tr.used_rate(local) - local.highest,
+                    ],
+                    axis=-1,
+                ).reshape(*local.layer.shape[:-1], -1),
+                at_knots.reshape(len(at_knots), -1),
+            )
+            return
+        near = tr.near_the_speed_limit(self._guess)
+        count = tr.speed_basis.shape[1]
+        first = np.arange(tr.intervals)
+        reads = np.concatenate(
+            [layout.coefficient_columns(first, count), layout.state_columns], axis=1
+        )
+        for piece, control, axis, sign in zip(*np.nonzero(near), strict=True):
+            unit = np.eye(m)[axis]
+            speed = np.kron(tr.speed_basis[control], -unit if sign else unit)
+            rate, later = layout.rate_matrix[axis], control / n
+            row = np.concatenate([speed, (1 - later) * rate, later * rate])
+            columns = reads[piece]
+            high = row @ (self._exact - self._shift)[columns]
+            high += margin[piece, control, axis, sign] - BACKOFF
+            self._add_row(columns, row, -np.inf, high)
+
+    def _add_cost(self) -> None:
+        tr, p = self.transcription, self.transcription.problem
+
+        def residuals(local: Local) -> Array:
+            excess = local.bandwidth - p.bandwidth_floor
+            return np.concatenate([tr.feedforward(local), excess], axis=-1)
+
+        each = np.repeat([p.input_weight, p.bandwidth_weight], tr.outputs)
+        weights = tr.weights[:, None] * each
+        for knots in _blocks(np.arange(tr.intervals + 1)):
+            add_squares(
+                self.program,
+                AtKnots(tr, self.layout, knots, residuals),
+                self.x,
+                scale=self.scale,
+                weights=weights[knots].ravel(),
+            )
+
+    def solve(self, deadline: Deadline) -> tuple[Array, bool, str]:
+        """Solves for z; success and status."""
+        options = SolverOptions()
+        for name, value in OPTIONS.items():
+            options.SetOption(IpoptSolver.id(), name, value)
+        # On the way it may try anything.
+        with _ALONE, np.errstate(all="ignore"):
+            if np.isfinite(deadline.left):
+                # IPOPT takes no limit of zero.
+                seconds = max(deadline.left, 1e-3)
+                options.SetOption(IpoptSolver.id(), "max_wall_time", seconds)
+            result = IpoptSolver().Solve(self.program, None, options)
+        z = self.scale * np.asarray(result.GetSolution(self.x))
+        status = result.get_solver_details().ConvertStatusToString()
+        return z, result.is_success(), status
+
+    def evaluate(self, z: Array) -> Iterate:
+        """The iterate of z, with its half-planes where they are better.
+
+        They part the tube exactly, where those that an evaluation finds by itself
+        are only nearly the best for `tube_margin: support`.
+        """
+        tr = self.transcription
+        coefficients, alpha = (
+            self._block(z, name) for name in ("coefficients", "bandwidth")
+        )
+        hint, blocks = self._guess.planes, self.layout.blocks
+        if len(hint.piece):
+            rotation = z[blocks["rotation"]].reshape(len(hint.piece), -1)
+            normal = turned(hint.normal, rotation)
+            hint = dataclasses.replace(hint, normal=normal)
+        with np.errstate(all="ignore"):  # an iterate that diverges may overflow
+            return tr.evaluate(coefficients, tr.feasible_bandwidth(alpha), hint=hint)
+
+    def states(self, z: Array) -> Array:
+        """The tube's, shaped as `Transcription.tube_states`."""
+        m = self.transcription.outputs
+        states = self._block(z, "states")
+        return states.reshape(-1, self.layout.num_states, m)
+
+    def _block(self, z: Array, name: str) -> Array:
+        """A block of z, ``(..., m)``."""
+        block = z[self.layout.blocks[name]]
+        return np.asarray(block.reshape(-1, self.transcription.outputs))
+
+
+def _blocks(index: Array) -> list[Array]:
+    """Indices in blocks of about `BLOCK`; none if there are none."""
+    return np.array_split(index, -(-len(index) // BLOCK)) if len(index) else []
+
+
+def solve_nlp(
+    transcription: Transcription,
+    decisions: tuple[Array, Array],
+    *,
+    report: Callable[[Iteration], None],
+    deadline: Deadline = NEVER,
+) -> Result:
+    """Solves the nonlinear program, again where its result shows more is needed.
+
+    Where a solve ends worse than it began, as one that diverges does, the best
+    iterate is what counts.
+
+    Args:
+        transcription: of the problem.
+        decisions: coefficients and bandwidth to start from.
+        report: is given every solve.
+        deadline: after which IPOPT is stopped.
+    """
+    tr = transcription
+    clock = time.perf_counter
+    current = best = tr.evaluate(*decisions)
+    correction = np.zeros_like(tr.tube_states(current))
+    worst = least = violation(current)
+    if not np.isfinite([worst, current.cost]).all():
+        return Result(current, False, np.inf)
+    status: str | None = None
+    for _ in range(ROUNDS):
+        if deadline.passed:
+            return Result(best, False, least, out_of_time=True)
+        t0 = clock()
+        program = _Program(tr, current, correction)
+        t1 = clock()
+        z, success, status = program.solve(deadline)
+        t2 = clock()
+        if not np.isfinite(z).all():
+            return Result(best, False, least, _words(status))
+        before = current
+        current = program.evaluate(z)
+        worst = violation(current)
+        if worst < least or (worst <= BACKOFF and current.cost < best.cost):
+            best, least = current, worst
+        states, exact = program.states(z), tr.tube_states(current)
+        defect = exact - states - correction
+        correction = exact - states
+        t3 = clock()
+        step = np.abs(current.coefficients - before.coefficients).max()
+        report(
+            Iteration(
+                intervals=tr.intervals,
+                cost=current.cost,
+                violation=worst,
+                slack=0.0,
+                defect=float(np.abs(defect).max()),
+                step=float(step),
+                fraction=1.0,
+                proximity=0.0,
+                predicted=before.cost - current.cost,
+                update_time=t1 - t0,
+                solve_time=t2 - t1,
+                evaluate_time=t3 - t2,
+                status=status,
+            )
+        )
+        if worst <= BACKOFF:
+            return Result(best, success, least, None if success else _words(status))
+        if deadline.passed:
+            return Result(best, False, least, out_of_time=True)
+        if not success and "nfeasible" in status:
+            return Result(best, False, least)
+        if not success and "iverg" in status:
+            return Result(best, False, least, _words(status))
+    return Result(best, False, least, None if success else _words(str(status)))
+
+
+def _words(status: str) -> str:
+    """IPOPT's status as part of a sentence."""
+    return f"IPOPT's {status!r}"

@@ -1,0 +1,224 @@
+"""The certificate: what a plan keeps, for all times, checked after the solve.
+
+Nothing here knows how a plan was found.  The tube is propagated again from the
+plan's own polynomials, and every margin is bounded from below on short intervals
+(see `enclosure`), which are cut further where a bound is not good enough.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from dtmpc_drake.method.tightening import input_bound, rate_bound
+from dtmpc_drake.models import ConstantUncertainty
+from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.planning.problem import Problem
+from dtmpc_drake.planning.proof.bandwidth import bandwidth_margins
+from dtmpc_drake.planning.proof.consistency import consistency_margins, plan_faults
+from dtmpc_drake.planning.proof.enclosure import (
+    Corridor,
+    Enclosure,
+    claimed_corridor,
+    enclose,
+)
+from dtmpc_drake.records.certificate import OF_THE_ENDS, Certificate
+from dtmpc_drake.records.margin import Margin, smallest, worst
+from dtmpc_drake.records.plan import Plan
+
+INTERVALS = (16e-3, 4e-3, 2e-3, 1e-3, 5e-4)
+"""Longest interval, in s: the next one is taken if a bound is negative.  The first
+is for models whose error bound is constant: nothing is of first order then but F̂."""
+TUBE_TOLERANCE = 1e-4
+"""How far the tube that a plan carries may lie below the proven one, on which all
+margins rest; in m for the position tube."""
+TOP_TOLERANCE = 2e-3
+"""The same for the highest derivative that is a state (for n = 2 the velocity tube,
+in m/s), whose bound depends on itself and, through Δ̄, on the whole tube."""
+HAIR = 1e-3
+"""So much may an obstacle's bound be too low on the longest intervals, in m: one
+that is lower is not looked at on shorter ones."""
+OF_THE_SAMPLES = frozenset({"tube", "bandwidth_knots"})
+"""Margins that more samples of the same tube improve."""
+
+
+def certify(plan: Plan, problem: Problem) -> Certificate:
+    """Checks a plan against its problem, for all times.
+
+    Every margin is a lower bound of what is left of a limit; it is exact up to
+    second order in the length of the intervals, and up to first order where a
+    model is asked for its bounds over a box.
+
+    Args:
+        plan: whose polynomials are checked.
+        problem: gives model, limits and obstacles.
+
+    Returns:
+        The certificate.  A plan that is none, or of another kind than the problem,
+        has `Certificate.faults`.
+    """
+    proven = problem.model.bounds_certified
+    faults = plan_faults(plan, problem)
+    if faults:
+        return Certificate({}, proven, faults)
+    values: dict[str, float] = {}
+    # What is not a number is found at the end; nothing may be lost before.
+    with np.errstate(all="ignore"):
+        for longest in INTERVALS[problem.model.error_bound_varies :]:
+            enclosure = enclose(
+                plan, problem, longest=longest, velocity_slack=TOP_TOLERANCE
+            )
+            margins = _margins(plan, problem, enclosure)
+            certificate = Certificate(margins, proven)
+            if certificate.kept:
+                break
+            name, margin = certificate.worst
+            hopeless = name == "obstacles" and margin.value < -HAIR
+            # What shorter intervals gain is of first order in their length, so it
+            # will not be more than it was.
+            gained = margin.value - values.get(name, -np.inf)
+            hopeless |= margin.value + gained < 0
+            if hopeless or name in OF_THE_ENDS or not np.isfinite(margin.value):
+                break
+            values = {each: m.value for each, m in margins.items()}
+    return certificate
+
+
+def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Margin]:
+    """Every margin by name."""
+    n, corridor = problem.model.order, enclosure.corridor
+    time, middle = corridor.time[:-1], corridor.reference.derivatives
+    radius = enclosure.reference_radius
+    margins: dict[str, Margin] = {}
+    if len(problem.obstacles):
+        margins["obstacles"] = _obstacle_margin(problem, corridor)
+
+    # κ - Δ(x*), which is also K(x) - Δ(x), is a polynomial.
+    layer_rate = enclosure.layer.derivatives[:, 1]
+    model_error = problem.model.model_error_bound(middle[:, :n])
+    switching = problem.disturbance_bound + problem.reaching_rate - layer_rate
+    gain, gain_radius = switching + model_error, enclosure.layer.radius(1)
+
+    speed = problem.speed_limit - corridor.reference.largest(1)
+    speed = speed - rate_bound(
+        model=problem.model,
+        reference=middle[:, :n],
+        error_bound=enclosure.error_bound,
+        gain=gain,
+        disturbance_bound=problem.disturbance_bound,
+        reference_radius=radius,
+        gain_radius=gain_radius,
+    )
+    margins["speed"] = smallest(time, speed, "m/s", "axis")
+    # The norm of y*^(n), which is linear, is largest at an end.
+    rise = corridor.reference.half * middle[:, n + 1]
+    used = input_bound(
+        model=problem.model,
+        reference=middle[:, :n],
+        highest=np.stack([middle[:, n] - rise, middle[:, n] + rise]),
+        error_bound=enclosure.error_bound,
+        gain=gain,
+        slope=problem.slope,
+        reference_radius=radius,
+        gain_radius=gain_radius,
+    )
+    room = (problem.input_limit - used.max(axis=0))[:, None]
+    margins["input"] = smallest(time, room, f"m/s^{n}", "")
+    margins |= bandwidth_margins(plan, problem, enclosure)
+    thinnest = enclosure.layer.derivatives[:, 0] - enclosure.layer.radius(0)
+    margins["boundary_layer"] = smallest(time, thinnest, "m/s", "axis")
+    tolerance = np.full((n, 1), TUBE_TOLERANCE)
+    tolerance[-1] = TOP_TOLERANCE if n > 1 else TUBE_TOLERANCE
+    own = enclosure.claim_excess + tolerance
+    bounds = [f"bound {k} on axis {i}" for k in range(n) for i in range(own.shape[2])]
+    margins["tube"] = smallest(time, own.reshape(len(time), -1), "", bounds)
+    margins |= consistency_margins(plan, problem)
+    if isinstance(problem.model, ConstantUncertainty) and problem.model.covers:
+        true = problem.model.model.model_error_bound_over(
+            middle[:, :n], enclosure.error_bound + radius
+        )
+        room = problem.model.bound - true
+        margins["model_error"] = smallest(time, room, "m/s²", "axis")
+    return margins
+
+
+def clearance_ahead(plan: Plan, problem: Problem, start: float) -> Margin:
+    """The smallest distance of a certified plan's tube from obstacles, from then on.
+
+    Args:
+        plan: whose own tube is taken for granted.
+        problem: gives the obstacles, at least one; others than it was planned for.
+        start: in s.
+    """
+    corridor = claimed_corridor(plan, longest=INTERVALS[0], slack=TUBE_TOLERANCE)
+    return _obstacle_margin(problem, corridor, start)
+
+
+def _obstacle_margin(
+    problem: Problem, corridor: Corridor, after: float = -np.inf
+) -> Margin:
+    """Clearance of the tube, for all times: branch and bound.
+
+    An interval is as long as a step of the plan's own tube; those on which the
+    bound is negative are halved, down to those of the corridor.
+    """
+    stride = corridor.parts
+    start: Array = np.arange(0, len(corridor.time) - 1, stride)
+    ahead = corridor.time[start + stride] > after
+    start = start[ahead] if ahead.any() else start[-1:]  # a plan holds its end
+    found: list[Margin] = []
+    while len(start):
+        values = _clearance_bounds(problem, corridor, start, stride)
+        open_ = (values < 0).any(axis=1) & (stride > 1)
+        if not open_.all():
+            time = corridor.time[start[~open_]]
+            margin = smallest(time, values[~open_], "m", "")
+            nearest = problem.obstacles.index[values[~open_].min(axis=0).argmin()]
+            found.append(dataclasses.replace(margin, where=f"obstacle {nearest}"))
+        stride //= 2
+        start = (start[open_, None] + [0, stride]).ravel()
+    return worst(found)
+
+
+def _clearance_bounds(
+    problem: Problem, corridor: Corridor, start: Array, stride: int
+) -> Array:
+    """Lower bounds of the clearance on some intervals, by half-planes.
+
+    Within an interval the reference leaves its chord by at most ``h²/8 max|ÿ*|``,
+    and Ω by ``h²/8 max|d²Ω/dt²|``; ``ν'z - size`` is linear along both chords, hence
+    smallest at an end.
+
+    Args:
+        problem: gives the obstacles.
+        corridor: of the plan.
+        start: indices into its times, ``(q,)``.
+        stride: how many of its intervals make one of these.
+
+    Returns:
+        Shape ``(q, num_obstacles)``.
+    """
+    obstacles = problem.obstacles
+    ends = np.stack([start, start + stride])
+    offset = obstacles.offsets(corridor.reference.at_ends()[ends])
+    tube = corridor.position_tube[ends]
+    normal = offset.mean(axis=0)
+    if problem.tube_margin == "support":
+        # Any normal is valid; that of the nearest point of the tube is the best.
+        nearest = obstacles.nearest_offset(normal, tube.max(axis=0))
+        inside = np.linalg.norm(nearest, axis=-1, keepdims=True) < 1e-9
+        normal = np.where(inside, normal, nearest)
+    normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
+    if problem.tube_margin == "support":
+        extent = np.abs(np.einsum("oij,koi->koj", obstacles.shape, normal))
+        size = np.einsum("koj,ekj->eko", extent, tube)
+    else:
+        size = np.linalg.norm(obstacles.tube_radii(tube), axis=-1)
+    bound = ((normal * offset).sum(axis=-1) - size).min(axis=0)
+
+    inner = start[:, None] + np.arange(stride)
+    bend = corridor.reference.largest(2) + corridor.position_bend
+    leave = (stride * corridor.step) ** 2 / 8 * bend[inner].max(axis=1)
+    sag = np.linalg.norm(obstacles.tube_radii(leave), axis=-1)
+    return np.asarray(bound - obstacles.radius - sag)

@@ -1,0 +1,124 @@
+"""That a plan is one function of time, and the problem's: what a proof rests on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dtmpc_drake.method.sliding import bandwidth, switching_gain
+from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.planning.problem import Problem
+from dtmpc_drake.records.margin import Margin, smallest
+from dtmpc_drake.records.plan import Plan
+
+END_TOLERANCE = 1e-6
+"""Allowed distance from the start and goal states, in their units."""
+HAND_OVER_TOLERANCE = 1e-6
+"""Allowed distance from what a hand-over asks for, relative."""
+JUMP_TOLERANCE = 1e-9
+"""Allowed jumps between pieces, for their rounding: so much, in the unit of what
+jumps, and a hundredth of that for each unit of its size."""
+TIME_TOLERANCE = 1e-9
+"""Allowed deviation of start and duration, for their rounding, relative."""
+
+
+def plan_faults(plan: Plan, problem: Problem) -> tuple[str, ...]:
+    """Why a plan cannot be compared with a problem, one line each.
+
+    Beside `Plan.faults`, its order and number of outputs must be the model's, and its
+    knots equally spaced, the grid of its tube within them.
+    """
+    faults = tuple(plan.faults())
+    if faults:
+        return faults
+    n, m = problem.model.order, problem.model.num_outputs
+    if (plan.order, plan.num_outputs) != (n, m):
+        return (
+            f"coefficients: a plan of order {plan.order} with {plan.num_outputs}"
+            f" outputs, where the model has order {n} and {m} outputs",
+        )
+    if not plan.is_uniform:
+        return ("knots: must be equally spaced, and tube_times within them",)
+    return ()
+
+
+def consistency_margins(plan: Plan, problem: Problem) -> dict[str, Margin]:
+    """That a plan is continuous, and has the problem's ends and times.
+
+    * ``continuity``: of y*, its first n - 1 derivatives, Φ* and dΦ*/dt.
+    * ``time``: start and duration.
+    * ``ends``: x* at both ends; what the goal leaves free is free.
+    * ``hand_over``: Φ*(t0) and, where they are asked for, y*^(n)(t0) and the
+      bandwidth that the layer implies there.
+
+    Args:
+        plan: without `plan_faults`.
+        problem: that it should solve.
+    """
+    n, m = plan.order, plan.num_outputs
+    margins: dict[str, Margin] = {}
+    jumps = [
+        *_jumps(plan.coefficients, plan.knots, n, "y*"),
+        *_jumps(plan.layer_coefficients, plan.tube_times, 2, "Φ*"),
+    ]
+    if jumps:
+        margins["continuity"] = min(jumps, key=lambda margin: margin.value)
+    time = np.array([plan.start_time, plan.end_time])
+    wanted = np.array([problem.start_time, problem.start_time + problem.duration])
+    allowed = TIME_TOLERANCE * (1 + np.abs(wanted).max())
+    margins["time"] = _both(time, allowed - np.abs(time - wanted), "s", "of the plan")
+
+    rows = [f"y*^({k}) on axis {i}" for k in range(n) for i in range(m)]
+    ends = plan.reference(time)[:, :n]
+    missing = np.abs(ends - np.stack([problem.start, problem.goal]))
+    missing[1] = np.where(np.isnan(problem.goal), 0.0, missing[1])
+    left = END_TOLERANCE - missing.reshape(2, -1)
+    margins["ends"] = smallest(time, left, "", rows)
+
+    first = plan.reference(time[0])
+    layer, layer_rate = plan.layer(time[0])
+    gain = switching_gain(
+        model_error_bound=problem.model.model_error_bound(first[:n]),
+        disturbance_bound=problem.disturbance_bound,
+        reaching_rate=problem.reaching_rate,
+        boundary_layer_rate=layer_rate,
+    )
+    asked = {
+        "Φ*": (layer, problem.initial_boundary_layer),
+        f"y*^({n})": (first[n], problem.start_highest),
+        "α": (bandwidth(gain=gain, boundary_layer=layer), problem.start_bandwidth),
+    }
+    left, names = [], []
+    for name, (value, wish) in asked.items():
+        if wish is not None:
+            allowed = HAND_OVER_TOLERANCE * (1e-3 + np.abs(wish))
+            left.append(allowed - np.abs(value - wish))
+            names += [f"{name} on axis {i}" for i in range(m)]
+    margins["hand_over"] = smallest(time[:1], np.concatenate(left)[None], "", names)
+    return margins
+
+
+def _both(time: Array, values: Array, unit: str, what: str) -> Margin:
+    return smallest(time, values[:, None], unit, [what])
+
+
+def _jumps(powers: Array, grid: Array, count: int, name: str) -> list[Margin]:
+    """What is left of the tolerance at the inner points of a grid.
+
+    Args:
+        powers: of the time since a piece began, ``(pieces, p, m)``.
+        grid: ``(pieces + 1,)``, in s.
+        count: derivatives that must be continuous, the function itself included.
+        name: of the function.
+    """
+    margins = []
+    length = np.diff(grid)[:-1, None, None]
+    order = np.arange(powers.shape[1])
+    for k in range(count if len(powers) > 1 else 0):
+        end = (powers[:-1] * length ** order[: powers.shape[1], None]).sum(axis=1)
+        start = powers[1:, 0]
+        size = max(1.0, float(np.abs(start).max()) / 100)
+        left = JUMP_TOLERANCE * size - np.abs(end - start)
+        label = f"{name}^({k}) on axis" if k else f"{name} on axis"
+        margins.append(smallest(grid[1:-1], left, "", label))
+        powers = powers[:, 1:] * np.arange(1, powers.shape[1])[:, None]
+    return margins

@@ -1,0 +1,323 @@
+"""What a plan does on short intervals of time: bounds that hold all along them.
+
+Reference and boundary layer are polynomials, so Taylor's formula about the
+middle of an interval gives their range exactly enough.  The tube follows from
+them by comparison: on every interval the filters are replaced by ones with
+coefficients that are at least as bad.  Nothing is sampled; left out of account are
+the rounding of floating-point numbers and the error of a fourth-order quadrature of
+linear filters, which the length of the intervals makes negligible.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from dtmpc_drake.method.tube import cascade_bound, comparison_forcing, propagate_cascade
+from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.numerics.filters import half_grid, integrate_filter
+from dtmpc_drake.numerics.polynomials import Polynomial, hermite_powers
+from dtmpc_drake.planning.problem import Problem
+from dtmpc_drake.records.plan import Plan
+
+THINNEST = 1e-12
+"""Boundary layer that is divided by, in m/s; one so thin is no layer at all."""
+_MOST, _LONGEST = 2**19, 16e-3
+"""About so many intervals are enough, unless they are longer than this, in s: a flight
+of half an hour is not enclosed on millions of them, which takes gigabytes."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Corridor:
+    """Where a plan may be on K equal intervals.
+
+    Attributes:
+        time: where intervals meet, ``(K + 1,)``, in s.
+        parts: intervals in each step of the plan's own tube, a power of two.
+        reference: y*.
+        position_tube: Ω where intervals meet, ``(K + 1, m)``.
+        position_bend: a bound of ``|d²Ω/dt²|``, ``(K, m)``.
+    """
+
+    time: Array
+    parts: int
+    reference: Polynomial
+    position_tube: Array
+    position_bend: Array
+
+    @property
+    def step(self) -> float:
+        """Length of an interval, in s."""
+        return 2 * self.reference.half
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Enclosure:
+    """Bounds along a plan on K equal intervals.
+
+    Attributes:
+        corridor: the intervals, y* and Ω.
+        reference_radius: how far x* leaves its value at the middle, ``(K, n, m)``.
+        layer: Φ*.
+        error_bound: bounds of ``|ỹ^(k)|`` all along, ``(K, n, m)``.
+        claim_excess: how far the plan's own bounds lie above those proven here,
+            at least, ``(K, n, m)``; negative where below.
+    """
+
+    corridor: Corridor
+    reference_radius: Array
+    layer: Polynomial
+    error_bound: Array
+    claim_excess: Array
+
+
+def enclose(
+    plan: Plan, problem: Problem, *, longest: float, velocity_slack: float
+) -> Enclosure:
+    """Encloses a plan.
+
+    The velocity tube must be known to bound itself, since Δ̄ looks at it.  So the
+    plan's own W, plus some slack, is taken for granted in Δ̄; if the bound that
+    follows is smaller for all times (`claim_excess`), no error can ever have
+    been the first to leave it, and what was granted is proven.
+
+    Args:
+        plan: whose polynomials are enclosed.
+        problem: gives the model and the controller's constants.
+        longest: interval, in s.
+        velocity_slack: what is added to the plan's own W, in its unit.
+
+    Raises:
+        ValueError: if the plan's grids are not uniform, one within the other.
+    """
+    n = problem.model.order
+    pieces = _Pieces.of(plan, longest)
+    h, reference, hermite = pieces.step, pieces.reference(), pieces.hermite
+    layer = pieces.layer()
+
+    # The cascade.  Its rates are filtered too, so they are bounded in turn.
+    stages, rates = propagate_cascade(
+        boundary_layer=layer.at_ends(),
+        boundary_layer_rate=layer.at_ends(1),
+        slope=problem.slope,
+        initial_error=problem.initial_error,
+        step=h,
+    )
+    fastest, bends = layer.largest(1), [layer.largest(2)]
+    for j in range(n - 2, -1, -1):
+        above = fastest
+        fastest = np.abs(rates[:-1, j]) + h * above
+        bends.insert(0, problem.slope * fastest + above)
+    curvature = np.stack(bends, axis=1)
+    proven = [
+        _Arc(
+            cascade_bound(stages[:-1], problem.slope, k),
+            cascade_bound(stages[1:], problem.slope, k),
+            cascade_bound(curvature, problem.slope, k),
+        )
+        for k in range(n)
+    ]
+    claimed = [
+        hermite(plan.bound_samples[:, k], plan.bound_rate_samples[:, k])
+        for k in range(n)
+    ]
+    if n > 1 and problem.velocity_bound == "comparison":
+        granted = claimed[-1].derivatives[:, 0] + claimed[-1].radius(0) + velocity_slack
+        bounds = [arc.highest(h) for arc in proven]
+        middles = half_grid(stages, rates, h)
+        proven[-1] = _velocity_tube(
+            problem=problem,
+            reference=reference,
+            layer=layer,
+            lower_bounds=np.stack(
+                [cascade_bound(middles, problem.slope, k) for k in range(n - 1)], axis=1
+            ),
+            error_bound=np.stack(
+                [*bounds[:-1], np.minimum(bounds[-1], granted)], axis=1
+            ),
+        )
+    excess = [
+        np.minimum(c.at_ends()[:-1] - a.start, c.at_ends()[1:] - a.end)
+        - h**2 / 8 * (a.bend + c.largest(2))
+        for a, c in zip(proven, claimed, strict=True)
+    ]
+    return Enclosure(
+        corridor=Corridor(
+            time=pieces.times(),
+            parts=pieces.parts,
+            reference=reference,
+            position_tube=stages[:, 0],
+            position_bend=curvature[:, 0],
+        ),
+        reference_radius=np.stack([reference.radius(k) for k in range(n)], axis=1),
+        layer=layer,
+        error_bound=np.stack([arc.highest(h) for arc in proven], axis=1),
+        claim_excess=np.stack(excess, axis=1),
+    )
+
+
+def claimed_corridor(plan: Plan, *, longest: float, slack: float) -> Corridor:
+    """The tube that a certified plan carries, made wider by what it may lack.
+
+    Args:
+        plan: whose own tube is taken for granted.
+        longest: interval, in s.
+        slack: what is added to Ω, in m.
+
+    Raises:
+        ValueError: if the plan's grids are not uniform, one within the other.
+    """
+    pieces = _Pieces.of(plan, longest)
+    tube = pieces.hermite(plan.bound_samples[:, 0], plan.bound_rate_samples[:, 0])
+    return Corridor(
+        time=pieces.times(),
+        parts=pieces.parts,
+        reference=pieces.reference(),
+        position_tube=tube.at_ends() + slack,
+        position_bend=tube.largest(2),
+    )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Pieces:
+    """How a plan's pieces are cut into intervals.
+
+    Attributes:
+        plan: that is cut.
+        parts: of each step of its own tube, a power of two.
+    """
+
+    plan: Plan
+    parts: int
+
+    @classmethod
+    def of(cls, plan: Plan, longest: float) -> _Pieces:
+        if not plan.is_uniform:
+            raise ValueError("a plan's knots must be equally spaced, and so its tube")
+        steps, span = len(plan.tube_times) - 1, plan.end_time - plan.start_time
+        longest = max(longest, min(_LONGEST, span / _MOST))
+        parts = 1
+        while span / steps / parts > longest:
+            parts *= 2
+        return cls(plan, parts)
+
+    @property
+    def tube_step(self) -> float:
+        span = self.plan.end_time - self.plan.start_time
+        return span / (len(self.plan.tube_times) - 1)
+
+    @property
+    def step(self) -> float:
+        return self.tube_step / self.parts
+
+    def times(self) -> Array:
+        count = (len(self.plan.tube_times) - 1) * self.parts
+        return np.asarray(self.plan.start_time + self.step * np.arange(count + 1))
+
+    def reference(self) -> Polynomial:
+        tube_steps = (len(self.plan.tube_times) - 1) // (len(self.plan.knots) - 1)
+        return Polynomial.on_intervals(
+            self.plan.coefficients,
+            self.tube_step * tube_steps,
+            tube_steps * self.parts,
+        )
+
+    def layer(self) -> Polynomial:
+        return Polynomial.on_intervals(
+            self.plan.layer_coefficients, self.tube_step, self.parts
+        )
+
+    def hermite(self, value: Array, rate: Array) -> Polynomial:
+        """What the samples of the plan's own tube stand for."""
+        powers = hermite_powers(value, rate, self.tube_step)
+        return Polynomial.on_intervals(powers, self.tube_step, self.parts)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Arc:
+    """A function on every interval: at both ends, and a bound of its bend."""
+
+    start: Array
+    end: Array
+    bend: Array
+
+    def highest(self, step: float) -> Array:
+        """A bound all along the interval."""
+        return np.asarray(np.maximum(self.start, self.end) + step**2 / 8 * self.bend)
+
+
+def _velocity_tube(
+    *,
+    problem: Problem,
+    reference: Polynomial,
+    layer: Polynomial,
+    lower_bounds: Array,
+    error_bound: Array,
+) -> _Arc:
+    """W on every interval.
+
+    With α̂ = (Δ_0 + D + η - dΦ*/dt)/Φ* for *any* Δ_0(t), here the chords of Δ(x*), the
+    comparison system holds with α̂ for α and Δ_0 for Δ(x*): what the switching gain
+    has beyond it, |Δ(x) - Δ_0|, is in E.  E is replaced by chords above it, and all
+    else is smooth and integrated as it is.
+    """
+    model, slope = problem.model, problem.slope
+    n, step = model.order, 2 * layer.half
+    ends = np.stack([reference.at_ends(k) for k in range(n)], axis=1)
+    nominal = _chords(model.model_error_bound(ends))
+    constant = problem.disturbance_bound + problem.reaching_rate
+    thickness = _interleave(layer.at_ends(), layer.derivatives[:, 0])
+    thickness = np.maximum(thickness, THINNEST)
+    rate = _interleave(layer.at_ends(1), layer.derivatives[:, 1])
+    bandwidth = np.maximum(constant + nominal - rate, 0.0) / thickness
+
+    radius = np.stack([reference.radius(k) for k in range(n)], axis=1)
+    largest = model.model_error_bound_over(
+        reference.derivatives[:, :n], error_bound + radius
+    )
+    both = np.maximum(largest[:-1], largest[1:])
+    largest = _chords(np.concatenate([largest[:1], both, largest[-1:]]))
+
+    def forcing(bandwidth: Array, lower_bounds: Array, model_error: Array) -> Array:
+        return comparison_forcing(
+            bandwidth=bandwidth,
+            lower_bounds=lower_bounds,
+            model_error=model_error,
+            slope=slope,
+            disturbance_bound=problem.disturbance_bound,
+        )
+
+    W, _ = integrate_filter(
+        bandwidth + (n - 1) * slope,
+        forcing(bandwidth, lower_bounds, 2 * largest - nominal),
+        np.abs(problem.initial_error[-1]),
+        step,
+    )
+    # Within an interval: the worst constant coefficients there.
+    change = layer.radius(1) + np.abs(nominal[2::2] - nominal[:-2:2]) / 2
+    gain = constant + nominal[1::2] - layer.derivatives[:, 1]
+    low = np.maximum(gain - change, 0.0) / (layer.derivatives[:, 0] + layer.radius(0))
+    low = low + (n - 1) * slope
+    thin = np.maximum(layer.derivatives[:, 0] - layer.radius(0), THINNEST)
+    worst = forcing(
+        np.maximum(gain + change, 0.0) / thin,
+        error_bound[:, :-1],
+        2 * np.maximum(largest[:-2:2], largest[2::2])
+        - np.minimum(nominal[:-2:2], nominal[2::2]),
+    )
+    decay = np.exp(-low * step)
+    after = decay * W[:-1] + (1 - decay) / low * worst
+    return _Arc(W[:-1], np.maximum(after, W[1:]), low * np.abs(worst - low * W[:-1]))
+
+
+def _interleave(ends: Array, middles: Array) -> Array:
+    """Values at ends and middles to the half grid."""
+    result = np.empty((2 * len(ends) - 1, *ends.shape[1:]))
+    result[::2], result[1::2] = ends, middles
+    return result
+
+
+def _chords(ends: Array) -> Array:
+    """Straight lines between ends, on the half grid."""
+    return _interleave(ends, (ends[:-1] + ends[1:]) / 2)

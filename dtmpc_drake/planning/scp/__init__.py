@@ -1,0 +1,1 @@
+"""Sequential convex programming on Clarabel (the paper's section VII)."""

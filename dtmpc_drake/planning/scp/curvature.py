@@ -1,0 +1,134 @@
+"""What the programs linearise away, and give back as cost.
+
+Two norms bend: that of y*^(n) in the input's limit, and that of the tube's box,
+‖|H| Ω‖, in the obstacles' (the *size* that a half-plane must leave).  Both are convex,
+so each row of a program promises too much, and where Δ varies, so that the tube may
+trade one axis for another at no cost, steps promise what they do not keep.  The
+remedy of sequential convex quadratic programming is the convex part of the
+Lagrangian's Hessian: each norm's own, times the multiplier that its row had in the
+program before (Messerer, Baumgärtner and Diehl, "Survey of sequential convex
+programming and generalized Gauss-Newton methods", ESAIM: ProcS 71, 2021).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.planning.scp.layout import Variables
+from dtmpc_drake.planning.transcription import Halfplanes, Iterate, Transcription
+
+SMALLEST_HIGHEST = 0.05
+"""Norms of y*^(n) below this are taken for it: they bend without limit at zero."""
+SMALLEST_SIZE = 1e-3
+"""The same of the tube's size, in m."""
+LOSS = 0.25
+"""Part of what turning a half-plane loses that is priced."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Multipliers:
+    """Prices of the limits whose rows bend.
+
+    Attributes:
+        planes: of every obstacle at every control point, ``(N, o, controls)``.
+        input: at every node of the fine grid, ``(M + 1,)``.
+    """
+
+    planes: Array
+    input: Array
+
+    @classmethod
+    def none(cls, transcription: Transcription) -> Multipliers:
+        """Before the first program."""
+        tr = transcription
+        planes = tr.intervals, len(tr.problem.obstacles), tr.control_degree + 1
+        return cls(np.zeros(planes), np.zeros(tr.intervals * tr.tube_steps + 1))
+
+    def refined(self, transcription: Transcription) -> Multipliers:
+        """The same prices, shared by the more rows of a finer grid."""
+        zero = Multipliers.none(transcription)
+
+        def shared(values: Array, count: int) -> Array:
+            index = np.arange(count) * len(values) // count
+            return np.asarray(values[index] * (len(values) / count))
+
+        return Multipliers(
+            planes=shared(self.planes, len(zero.planes)),
+            input=np.append(shared(self.input[:-1], len(zero.input) - 1), 0.0),
+        )
+
+
+def input_curvature(
+    transcription: Transcription, iterate: Iterate, multipliers: Multipliers
+) -> Array:
+    """Hessians of ‖y*^(n)‖, priced, by the coefficients that act on each piece.
+
+    Where B is not the identity, that norm stands for that of B⁻¹ y*^(n).
+
+    Returns:
+        ``(N, (degree + 1) m, (degree + 1) m)``.
+    """
+    tr = transcription
+    width = (tr.degree + 1) * tr.outputs
+    result = np.zeros((tr.intervals, width, width))
+    nodes = np.flatnonzero(multipliers.input[:-1])
+    if len(nodes):
+        highest = tr.local_at(iterate, nodes).highest
+        size = np.linalg.norm(highest, axis=1)
+        bend = _bend(highest, np.maximum(size, SMALLEST_HIGHEST))
+        bend *= multipliers.input[nodes, None, None]
+        basis = tr.basis_at(nodes)[:, tr.order]
+        each = np.einsum("pc,pij,pd->pcidj", basis, bend, basis, optimize=True)
+        np.add.at(result, nodes // tr.tube_steps, each.reshape(-1, width, width))
+    return result
+
+
+def tube_curvature(
+    transcription: Transcription,
+    iterate: Iterate,
+    planes: Halfplanes,
+    variables: Variables,
+    multipliers: Multipliers,
+) -> Array:
+    """Hessians of ‖|H| Ω‖, priced, by the tube's states at both ends of each piece.
+
+    Returns:
+        ``(N, 2 S m, 2 S m)``.
+    """
+    tr, by = transcription, variables.tube_matrix
+    result = np.zeros((tr.intervals, by.shape[2], by.shape[2]))
+    # A support is linear in Ω.
+    if tr.problem.tube_margin == "norm" and len(planes.piece):
+        price = multipliers.planes[planes.piece, planes.obstacle]
+        p, c = np.nonzero(price)
+        H = np.abs(tr.problem.obstacles.shape[planes.obstacle[p]])
+        box = np.einsum("pij,pj->pi", H, iterate.tube_controls[planes.piece[p], c])
+        size = np.linalg.norm(box, axis=1)
+        bend = _bend(box, np.maximum(size, SMALLEST_SIZE))
+        bend *= price[p, c, None, None]
+        by_states = H @ by[c]
+        each = by_states.swapaxes(1, 2) @ bend @ by_states
+        np.add.at(result, planes.piece[p], each)
+    return result
+
+
+def rotation_curvature(planes: Halfplanes, multipliers: Multipliers) -> Array:
+    """What turning a half-plane loses to second order, priced, ``(P,)``.
+
+    A unit normal ν that turns by θ gives up ``ν'z |θ|²/2`` of ``ν'z``.  But turning and
+    moving together also gain, a product of both that is not convex and left out; so
+    only a part of the loss is priced.
+    """
+    along = np.einsum("pci,pi->pc", planes.hull, planes.normal)
+    price = multipliers.planes[planes.piece, planes.obstacle]
+    return np.asarray(LOSS * (price * np.maximum(along, 0.0)).sum(axis=1))
+
+
+def _bend(vector: Array, size: Array) -> Array:
+    """The Hessian of a norm, ``(I - v v' / ‖v‖²) / ‖v‖``, ``(p, d, d)``."""
+    unit = vector / size[:, None]
+    outer = unit[:, :, None] * unit[:, None, :]
+    return np.asarray((np.eye(vector.shape[1]) - outer) / size[:, None, None])

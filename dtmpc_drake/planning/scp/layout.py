@@ -1,0 +1,178 @@
+"""Where everything lives in the vector of a convex program.
+
+The vector z stacks, knot-major with the axes fastest: the spline coefficients of
+y*; the bandwidth at the knots; the tube's states at the knots (the cascade's
+stages Y_0 ... Y_(n-1) = Φ and, for the comparison bound, W); bounds of how far those
+coordinates of x* have moved at the knots in which the model has kinks; the rotations
+of the separating half-planes; and one slack.
+
+On a uniform grid every knot, and every piece, reads its own few entries of z in
+the same way: `knot_columns` and `piece_columns` say which, and small constant
+matrices say how.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dtmpc_drake.numerics import splines
+from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.planning.scp.clarabel import Layout, Window
+from dtmpc_drake.planning.transcription import Transcription, hermite_controls
+
+
+class Variables:
+    """Layout of z for one transcription.
+
+    Args:
+        transcription: of the problem.
+        planes: how many separating half-planes may turn.
+        kinked: coordinates of x*, flattened, in which the model has kinks.
+
+    Attributes:
+        blocks: slices of z by name.
+        size: of z.
+        layout: of the programs.
+        num_states: S, of the tube at a knot.
+        knot_columns: entries that one knot reads, ``(K, C)``.
+        alpha_columns: the bandwidth at a knot, ``(K, m)``.
+        local_matrix: from these to `Local.pack`, ``(L, C)``.
+        kinked: as given.
+        move_columns: the moves' bounds at a knot, ``(K, len(kinked))``.
+        state_columns: the tube's states at both ends of a piece, ``(N, 2 S m)``.
+        piece_columns: what acts along a piece: the tube's states at its start, the
+            bandwidth at both ends, its spline coefficients, and the moves' bounds at
+            both ends, ``(N, S m + 2 m + (degree + 1) m + 2 len(kinked))``.
+        piece_parts: where bandwidth, coefficients and moves are among them.
+        bounds: from the states at a knot to R_0 ... R_(n-1), each ``(m, S m)``.
+        rate_matrix: from the states at a knot to the bound of dỹ/dt (n > 1),
+            ``(m, S m)``.
+        tube_matrix: from the states at both ends of a piece to the Bézier
+            points of Ω, ``(control_degree + 1, m, 2 S m)``.
+    """
+
+    def __init__(
+        self, transcription: Transcription, *, planes: int, kinked: Array
+    ) -> None:
+        tr = transcription
+        n, m, N = tr.order, tr.outputs, tr.intervals
+        obstacles = tr.problem.obstacles
+        self.outputs = m
+        self.num_states = n + 1 if tr.has_velocity_state else n
+        # Each separating half-plane may turn, along each tangent of its normal.
+        self.tangents = obstacles.shape.shape[1] - 1
+        self.num_planes = planes
+        self.blocks: dict[str, slice] = {}
+        self.size = 0
+        for name, count in (
+            ("coefficients", (N + tr.degree) * m),
+            ("bandwidth", (N + 1) * m),
+            ("states", (N + 1) * self.num_states * m),
+            ("moves", (N + 1) * len(kinked)),
+            ("rotation", self.num_planes * self.tangents),
+            ("slack", 1),
+        ):
+            self.blocks[name] = slice(self.size, self.size + count)
+            self.size += count
+
+        S = self.num_states * m
+        self.layout = self._layout(tr, len(kinked))
+        knots = np.arange(N + 1)[:, None]
+        self.alpha_columns = self.blocks["bandwidth"].start + knots * m + np.arange(m)
+        self.knot_columns = np.concatenate(
+            [
+                self.coefficient_columns(np.arange(N + 1), tr.degree),
+                self.alpha_columns,
+                self.blocks["states"].start + knots * S + np.arange(S),
+            ],
+            axis=1,
+        )
+        self.kinked = kinked
+        self.move_columns = (
+            self.blocks["moves"].start + knots * len(kinked) + np.arange(len(kinked))
+        )
+        states = self.blocks["states"].start
+        self.state_columns = states + knots[:-1] * S + np.arange(2 * S)
+        parts = [
+            self.state_columns[:, :S],
+            self.alpha_columns[:-1],
+            self.alpha_columns[1:],
+            self.coefficient_columns(np.arange(N), tr.degree + 1),
+            self.move_columns[:-1],
+            self.move_columns[1:],
+        ]
+        self.piece_columns = np.concatenate(parts, axis=1)
+        ends = np.cumsum([part.shape[1] for part in parts])
+        self.piece_parts = (
+            slice(ends[0], ends[2]),
+            slice(ends[2], ends[3]),
+            slice(ends[3], ends[5]),
+        )
+        self.bounds = bounds = tr.state_bounds
+        self.local_matrix = self._local_matrix(transcription, bounds)
+        self.rate_matrix = bounds[min(1, n - 1)]
+        self.tube_matrix = self._tube_matrix(transcription)
+
+    def _layout(self, tr: Transcription, moves: int) -> Layout:
+        """Costs that couple no more than what acts on one piece."""
+        m, S, N = tr.outputs, self.num_states * tr.outputs, tr.intervals
+        # Width, stride and number of the windows.
+        costs = {
+            "coefficients": ((tr.degree + 1) * m, m, N),
+            "bandwidth": (m, m, N + 1),
+            "moves": (moves, moves, N + 1),
+            "rotation": (self.tangents, self.tangents, self.num_planes),
+        }
+        if tr.problem.model.error_bound_varies:
+            costs["states"] = (2 * S, S, N)
+        return Layout(
+            self.size,
+            tuple(
+                (name, Window(self.blocks[name].start, *shape))
+                for name, shape in costs.items()
+                if all(shape)
+            ),
+        )
+
+    def coefficient_columns(self, first: Array, count: int) -> Array:
+        """The columns of `count` spline coefficients each, ``(P, count m)``."""
+        return np.asarray(
+            first[:, None] * self.outputs + np.arange(count * self.outputs)
+        )
+
+    def _local_matrix(self, tr: Transcription, bounds: list[Array]) -> Array:
+        n, m, S = tr.order, tr.outputs, self.num_states
+        coefficients, alpha = tr.degree * m, slice(tr.degree * m, tr.degree * m + m)
+        columns = self.knot_columns.shape[1]
+        rows = []
+        for k in range(n + 1):
+            row = np.zeros((m, columns))
+            start = splines.basis(tr.degree, k, np.zeros(1), tr.step)[0, : tr.degree]
+            row[:, :coefficients] = np.kron(start, np.eye(m))
+            rows.append(row)
+        layer, bandwidth = np.zeros((2, m, columns))
+        layer[:, alpha.stop + (n - 1) * m : alpha.stop + n * m] = np.eye(m)
+        bandwidth[:, alpha] = np.eye(m)
+        rows += [layer, bandwidth]
+        for bound in bounds:
+            row = np.zeros((m, columns))
+            row[:, alpha.stop : alpha.stop + S * m] = bound
+            rows.append(row)
+        return np.concatenate(rows)
+
+    def _tube_matrix(self, tr: Transcription) -> Array:
+        n, m, S = tr.order, tr.outputs, self.num_states
+        unit = np.eye(2 * S * m).reshape(2 * S * m, 2, S, m)
+        value = unit[:, :, 0]
+        if n > 1:
+            rate = unit[:, :, 1] - tr.problem.slope * value
+        else:  # Ω is Φ, whose rate is no linear function; a chord serves
+            rate = ((value[:, 1] - value[:, 0]) / tr.step)[:, None].repeat(2, axis=1)
+        points = hermite_controls(value.swapaxes(0, 1), rate.swapaxes(0, 1), tr.step)[0]
+        # (4, 2 S m, m) to (control_degree + 1, m, 2 S m)
+        elevate = splines.elevation(3, tr.control_degree)
+        return np.asarray(np.einsum("ij,jsm->ims", elevate, points))
+
+    def local(self, z: Array) -> Array:
+        """`Local.pack` of a deviation at every knot, ``(K, L)``."""
+        return np.asarray(z[self.knot_columns] @ self.local_matrix.T)

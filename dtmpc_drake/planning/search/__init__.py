@@ -1,0 +1,1 @@
+"""Which way: starts on the sides of obstacles, compared on a coarse grid."""

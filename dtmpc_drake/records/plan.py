@@ -1,0 +1,468 @@
+"""A plan: the reference and the tube around it, as functions of time."""
+
+from __future__ import annotations
+
+import dataclasses
+import lzma
+import struct
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property, lru_cache
+from itertools import pairwise
+from math import comb, factorial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dtmpc_drake.numerics.arrays import FloatArray
+
+_SAMPLE_PERIOD = 0.005  # of a saved plan, in s
+_JUMP = 1e-6  # in which joined plans change their tubes, in s
+DAMAGE: tuple[type[Exception], ...] = (
+    ValueError,  # a pickle, too
+    OSError,
+    EOFError,
+    KeyError,
+    MemoryError,
+    NotImplementedError,
+    RuntimeError,
+    OverflowError,  # this and the next three: a header of an array that is none
+    SyntaxError,
+    TypeError,
+    tokenize.TokenError,
+    struct.error,
+    lzma.LZMAError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+"""What reading a damaged archive raises."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Plan:
+    """A reference y*(t), the tube around it and the bandwidth that makes it.
+
+    The reference is a piecewise polynomial of degree n + 1 whose n-th
+    derivative is continuous; the bandwidth α is piecewise linear between the
+    same knots.  The tube that follows from both is kept on a finer grid.  Φ* is a
+    polynomial on each of its steps, and `boundary_layer_rate` is the exact
+    derivative, which is all that the invariance of the layer needs; the bandwidth
+    that it implies is α (see `dtmpc_drake.layer`).  The bounds of the errors are
+    cubic Hermite pieces.
+
+    Outside ``[start_time, end_time]`` a plan holds its first or last value.
+
+    Attributes:
+        knots: ``(N + 1,)``, in s.
+        coefficients: of y* in powers of the time since a piece began,
+            ``(N, n + 2, m)``.
+        bandwidth_knots: α, ``(N + 1, m)``, in rad/s.
+        tube_times: the finer grid, ``(M + 1,)``, in s.
+        layer_coefficients: of Φ* in powers of the time since a step of that grid
+            began, ``(M, any number, m)``.
+        bound_samples: bounds of ``|ỹ^(k)|``, ``(M + 1, n, m)``.
+        bound_rate_samples: their time derivatives, same shape.
+    """
+
+    knots: FloatArray
+    coefficients: FloatArray
+    bandwidth_knots: FloatArray
+    tube_times: FloatArray
+    layer_coefficients: FloatArray
+    bound_samples: FloatArray
+    bound_rate_samples: FloatArray
+
+    def __post_init__(self) -> None:
+        """Makes what is shared read-only, and the same bits in and out of a file."""
+        for field in dataclasses.fields(self):
+            view = np.ascontiguousarray(getattr(self, field.name)).view()
+            view.flags.writeable = False
+            object.__setattr__(self, field.name, view)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Plan:
+        """Itself: nothing in it changes, and Contexts are copied often."""
+        return self
+
+    @property
+    def start_time(self) -> float:
+        """The first knot, in s."""
+        return float(self.knots[0])
+
+    @property
+    def end_time(self) -> float:
+        """The last knot, in s."""
+        return float(self.knots[-1])
+
+    @property
+    def order(self) -> int:
+        """n, the order of the outputs."""
+        return int(self.coefficients.shape[1]) - 2
+
+    @property
+    def num_outputs(self) -> int:
+        """m, the number of outputs."""
+        return int(self.coefficients.shape[2])
+
+    @property
+    def is_uniform(self) -> bool:
+        """Whether all knots are equally spaced, and the tube's grid within them."""
+        pieces, steps = len(self.knots) - 1, len(self.tube_times) - 1
+        span = self.end_time - self.start_time
+        even = self.start_time + span * np.arange(steps + 1) / steps
+        if steps % pieces:
+            return False
+        off = np.abs(self.tube_times - even).max()
+        off = max(off, np.abs(self.knots - even[:: steps // pieces]).max())
+        return bool(off <= 1e-9 * span)
+
+    def reference(self, time: FloatArray | float) -> FloatArray:
+        """y* and its derivatives up to the n-th.
+
+        Args:
+            time: shape ``(...)``, in s.
+
+        Returns:
+            Shape ``(..., n + 1, m)``; row k is the k-th derivative.
+        """
+        t, piece = _locate(self.knots, time)
+        factor, exponent = _derivatives(self.order + 1, self.coefficients.shape[1])
+        basis = factor * t[..., None, None] ** exponent
+        return np.asarray(basis @ self.coefficients[piece])
+
+    def bandwidth(self, time: FloatArray | float) -> FloatArray:
+        """α*, shape ``(..., m)``, in rad/s."""
+        t, piece = _locate(self.knots, time)
+        weight = (t / np.diff(self.knots)[piece])[..., None]
+        start, end = self.bandwidth_knots[piece], self.bandwidth_knots[piece + 1]
+        return np.asarray((1 - weight) * start + weight * end)
+
+    def boundary_layer(self, time: FloatArray | float) -> FloatArray:
+        """Φ*, shape ``(..., m)``."""
+        return self.layer(time)[0]
+
+    def boundary_layer_rate(self, time: FloatArray | float) -> FloatArray:
+        """dΦ*/dt, the exact derivative of `boundary_layer`, ``(..., m)``."""
+        return self.layer(time)[1]
+
+    def layer(self, time: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+        """Φ* and dΦ*/dt in one look-up."""
+        t, step = _locate(self.tube_times, time)
+        factor, exponent = _derivatives(2, self.layer_coefficients.shape[1])
+        basis = factor * t[..., None, None] ** exponent
+        both = basis @ self.layer_coefficients[step]
+        return both[..., 0, :], both[..., 1, :]
+
+    def error_bound(self, time: FloatArray | float) -> FloatArray:
+        """Bounds of ``|ỹ^(k)|``, k < n, shape ``(..., n, m)``."""
+        x, c, _ = self._bound_piece(time)
+        y0, d0, c2, c3 = (c[..., k, :, :] for k in range(4))
+        return np.asarray(y0 + x * (d0 + x * (c2 + x * c3)))
+
+    def _error_bound_rate(self, time: FloatArray | float) -> FloatArray:
+        """The exact time derivative of `error_bound`."""
+        x, c, h = self._bound_piece(time)
+        _, d0, c2, c3 = (c[..., k, :, :] for k in range(4))
+        return np.asarray((d0 + x * (2 * c2 + 3 * x * c3)) / h)
+
+    def _bound_piece(
+        self, time: FloatArray | float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The share of a step of the tube that is over, its cubic and its length."""
+        t, step = _locate(self.tube_times, time)
+        length, cubics = self._bound_cubics
+        h = length[step].reshape(*t.shape, 1, 1)
+        return t.reshape(h.shape) / h, cubics[step], h
+
+    @cached_property
+    def _bound_cubics(self) -> tuple[FloatArray, FloatArray]:
+        """Lengths of the tube's steps, ``(M,)``, and the bounds as cubics on each.
+
+        They are Hermite's, in powers of the share of a step, ``(M, 4, n, m)``.
+        """
+        length = np.diff(self.tube_times)
+        h = length[:, None, None]
+        y0, y1 = self.bound_samples[:-1], self.bound_samples[1:]
+        d0, d1 = h * self.bound_rate_samples[:-1], h * self.bound_rate_samples[1:]
+        c2 = 3 * (y1 - y0) - 2 * d0 - d1
+        c3 = 2 * (y0 - y1) + d0 + d1
+        return length, np.stack([y0, d0, c2, c3], axis=1)
+
+    def position_tube(self, time: FloatArray | float) -> FloatArray:
+        """Ω, the bound of ``|ỹ|``, shape ``(..., m)``."""
+        return np.asarray(self.error_bound(time)[..., 0, :])
+
+    def between(self, start: float, end: float) -> Plan:
+        """A part of the plan, which is the same functions of time.
+
+        Args:
+            start: in s, within the plan.
+            end: in s, within the plan and after `start`.
+        """
+        knots, piece = _cut(self.knots, start, end)
+        shift = start - self.knots[piece[0]]
+        coefficients = self.coefficients[piece].copy()
+        coefficients[0] = _shifted(coefficients[0], shift)
+        grid, step = _cut(self.tube_times, start, end)
+        layer = self.layer_coefficients[step].copy()
+        layer[0] = _shifted(layer[0], start - self.tube_times[step[0]])
+        return Plan(
+            knots=knots,
+            coefficients=coefficients,
+            bandwidth_knots=self.bandwidth(knots),
+            tube_times=grid,
+            layer_coefficients=layer,
+            bound_samples=self.error_bound(grid),
+            bound_rate_samples=self._error_bound_rate(grid),
+        )
+
+    def sample_times(self, period: float = _SAMPLE_PERIOD) -> FloatArray:
+        """Uniform times from start to end, at most `period` apart."""
+        count = int(np.ceil((self.end_time - self.start_time) / period - 1e-9))
+        return np.linspace(self.start_time, self.end_time, max(count, 1) + 1)
+
+    def sample(self, period: float = _SAMPLE_PERIOD) -> dict[str, FloatArray]:
+        """Everything that a plan says, on uniform times, under its field name.
+
+        For n > 2 ``acceleration`` is the second derivative, and
+        ``error_bound`` has the bounds of all derivatives.  For n = 1 there is
+        no velocity tube and no acceleration.
+        """
+        time = self.sample_times(period)
+        reference = self.reference(time)
+        bound = self.error_bound(time)
+        layer, layer_rate = self.layer(time)
+        arrays = {
+            "time": time,
+            "position": reference[:, 0],
+            "velocity": reference[:, 1],
+            "bandwidth": self.bandwidth(time),
+            "boundary_layer": layer,
+            "boundary_layer_rate": layer_rate,
+            "position_tube": bound[:, 0],
+            "reference": reference,
+            "error_bound": bound,
+        }
+        if self.order >= 2:
+            arrays["acceleration"] = reference[:, 2]
+            arrays["velocity_tube"] = bound[:, 1]
+        return arrays
+
+    def save(self, path: str | Path) -> None:
+        """Writes the samples (at most 5 ms apart) and the exact plan as ``.npz``."""
+        exact: dict[str, Any] = {
+            f"plan_{field.name}": getattr(self, field.name)
+            for field in dataclasses.fields(self)
+        }
+        with open(path, "wb") as file:
+            arrays: dict[str, Any] = {**self.sample(), **exact}
+            np.savez_compressed(file, **arrays)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Plan:
+        """Reads what `save` wrote.
+
+        Raises:
+            FileNotFoundError: if there is no such file.
+            ValueError: if the file is not a saved plan, or anything in it is wrong;
+                it names the file and the field.
+        """
+        with open(path, "rb") as file:
+            if not zipfile.is_zipfile(file):
+                raise ValueError(f"{path}: not a saved plan (not an .npz file)")
+        arrays: dict[str, Any] = {}
+        reading = "the archive"
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                for field in dataclasses.fields(cls):
+                    reading = field.name
+                    arrays[field.name] = data[f"plan_{field.name}"]
+        except DAMAGE as error:
+            why = " ".join(str(error).split())
+            raise ValueError(f"{path}: not a saved plan ({reading}: {why})") from None
+        return cls.from_arrays(arrays, where=str(path))
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, Any], *, where: str) -> Plan:
+        """A plan from its fields by name, all of them checked.
+
+        Raises:
+            ValueError: if anything is wrong with one; it starts with `where`, and
+                names the field.
+        """
+        plan = cls(**arrays)
+        for fault in plan.faults():  # the first
+            raise ValueError(f"{where}: not a saved plan ({fault})")
+        return plan
+
+    def faults(self) -> Iterator[str]:
+        """What makes this no plan at all, one line each that begins with a field.
+
+        Every array is a finite one of real numbers that has its shape, times
+        increase, bandwidths and, at the samples, the layer are positive.  Whether
+        the functions are continuous is a matter of its certificate.
+        """
+        shapes = self._shapes()
+        if isinstance(shapes, str):
+            yield shapes
+            return
+        sound = True
+        for name, (shape, times) in shapes.items():
+            fault = _fault(getattr(self, name), shape, times)
+            if fault:
+                sound = False
+                yield f"{name}: {fault}"
+        if not sound:
+            return
+        apart = np.abs(self.knots[[0, -1]] - self.tube_times[[0, -1]]).max()
+        if apart > 1e-9 * (self.end_time - self.start_time):
+            yield "tube_times: must begin and end where the knots do"
+        if not (self.bandwidth_knots > 0).all():
+            yield f"bandwidth_knots: {self.bandwidth_knots.min():g} is not positive"
+        if not (self.layer_coefficients[:, 0] > 0).all():
+            least = self.layer_coefficients[:, 0].min()
+            yield f"layer_coefficients: the layer is {least:g}, which is not positive"
+
+    def _shapes(self) -> dict[str, tuple[tuple[int, ...], FloatArray]] | str:
+        """The shape that every field must have and its times, or why there is none."""
+        dimensions = {"knots": 1, "tube_times": 1, "coefficients": 3}
+        dimensions["layer_coefficients"] = 3
+        for name, count in dimensions.items():
+            array = getattr(self, name)
+            if array.ndim != count or array.size == 0:
+                return f"{name}: has shape {array.shape}, not {count} axes"
+        n, m = self.order, self.num_outputs
+        N, M = len(self.knots) - 1, len(self.tube_times) - 1
+        if n < 1 or N < 1 or M < 1:
+            shape = self.coefficients.shape
+            return f"coefficients: {shape} with {N} pieces is of no order"
+        powers = self.layer_coefficients.shape[1]
+        return {
+            "knots": ((N + 1,), self.knots),
+            "tube_times": ((M + 1,), self.tube_times),
+            "coefficients": ((N, n + 2, m), self.knots),
+            "bandwidth_knots": ((N + 1, m), self.knots),
+            "layer_coefficients": ((M, powers, m), self.tube_times),
+            "bound_samples": ((M + 1, n, m), self.tube_times),
+            "bound_rate_samples": ((M + 1, n, m), self.tube_times),
+        }
+
+    def __repr__(self) -> str:
+        """Names what a reader wants to know first."""
+        a, w = self.bandwidth_knots, self.bound_samples[:, 0]
+        return (
+            f"Plan({self.start_time:g} to {self.end_time:g} s, "
+            f"{len(self.knots) - 1} intervals, order {self.order}, "
+            f"{self.num_outputs} outputs, bandwidth {a.min():.2f} to {a.max():.2f} "
+            f"rad/s, position tube at most {w.max():.3f})"
+        )
+
+
+def _fault(array: FloatArray, shape: tuple[int, ...], times: FloatArray) -> str:
+    """What is wrong with one array of a plan; nothing if that is empty."""
+    if array.dtype.kind != "f":
+        return f"must hold real numbers, not {array.dtype}"
+    if array.shape != shape:
+        return f"has shape {array.shape} where {shape} is needed"
+    finite = np.isfinite(array.reshape(len(array), -1)).all(axis=1)
+    if not finite.all():
+        row = int(finite.argmin())
+        what = "not a number" if np.isnan(array[row]).any() else "infinite"
+        return what if array is times else f"{what} at t = {times[row]:.4g} s"
+    if array is times and not (np.diff(array) > 0).all():
+        return "must increase"
+    return ""
+
+
+def join(plans: Sequence[Plan], times: Sequence[float]) -> Plan:
+    """What was in force when each plan replaced the one before it.
+
+    Reference, boundary layer and bandwidth are continuous where they were so at
+    the hand-overs; the bounds of the errors jump there, within a microsecond.
+
+    Args:
+        plans: in order, at least one.
+        times: when each of them takes effect, in s, increasing and more than
+            a microsecond apart; the first plan's start counts for the first.
+    """
+    starts = [plans[0].start_time, *times[1:]]
+    ends = [*(time - _JUMP for time in times[1:]), plans[-1].end_time]
+    parts = [
+        plan.between(start, end)
+        for plan, start, end in zip(plans, starts, ends, strict=True)
+    ]
+
+    def stacked(name: str, drop: int = 0) -> FloatArray:
+        """One field of all parts, without the last rows of all but the last part."""
+        rows = [getattr(part, name) for part in parts]
+        return np.concatenate([*(r[: len(r) - drop] for r in rows[:-1]), rows[-1]])
+
+    # The polynomials reach on to the hand-over, of the reference and of the layer.
+    layers = [parts[0].layer_coefficients]
+    for before, after in pairwise(parts):
+        length = before.tube_times[-1] - before.tube_times[-2]
+        layers.append(_shifted(before.layer_coefficients[-1], length)[None])
+        layers.append(after.layer_coefficients)
+    return Plan(
+        knots=stacked("knots", drop=1),
+        coefficients=stacked("coefficients"),
+        bandwidth_knots=stacked("bandwidth_knots", drop=1),
+        tube_times=stacked("tube_times"),
+        layer_coefficients=np.concatenate(layers),
+        bound_samples=stacked("bound_samples"),
+        bound_rate_samples=stacked("bound_rate_samples"),
+    )
+
+
+def _cut(
+    grid: FloatArray, start: float, end: float
+) -> tuple[FloatArray, npt.NDArray[np.intp]]:
+    """The part of a grid between two times, and the piece that each of its is of.
+
+    Pieces of less than a nanosecond are left out.
+    """
+    inner = (grid > start + 1e-9) & (grid < end - 1e-9)
+    times = np.concatenate([[start], grid[inner], [end]])
+    piece = np.searchsorted(grid, (times[:-1] + times[1:]) / 2, side="right") - 1
+    return times, np.clip(piece, 0, len(grid) - 2)
+
+
+def _shifted(coefficients: FloatArray, shift: float) -> FloatArray:
+    """The same polynomial in powers of ``t - shift``, ``(powers, m)``."""
+    powers = len(coefficients)
+    return np.stack(
+        [
+            sum(
+                comb(p, k) * shift ** (p - k) * coefficients[p]
+                for p in range(k, powers)
+            )
+            for k in range(powers)
+        ]
+    )
+
+
+@lru_cache
+def _derivatives(count: int, powers: int) -> tuple[FloatArray, FloatArray]:
+    """Factors and exponents of the derivatives of ``t^p``, ``(count, powers)`` each."""
+    factor, exponent = np.zeros((2, count, powers))
+    for k in range(count):
+        for p in range(k, powers):
+            factor[k, p] = factorial(p) / factorial(p - k)
+            exponent[k, p] = p - k
+    return factor, exponent
+
+
+def _locate(
+    grid: FloatArray, time: FloatArray | float
+) -> tuple[FloatArray, npt.NDArray[np.intp]]:
+    """Time since the start of the piece, and the piece's index; clamped."""
+    if isinstance(time, float):  # a flight's look-ups, for which arrays are slow
+        t = min(max(time, grid[0]), grid[-1])
+        one = min(max(grid.searchsorted(t, side="right") - 1, 0), len(grid) - 2)
+        return np.asarray(t - grid[one]), np.asarray(one)
+    time = np.clip(np.asarray(time, dtype=float), grid[0], grid[-1])
+    piece = np.clip(np.searchsorted(grid, time, side="right") - 1, 0, len(grid) - 2)
+    return time - grid[piece], piece
