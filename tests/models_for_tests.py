@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from dtmpc_drake.method.sliding import control, sliding_variable
+from dtmpc_drake.method.sliding import SlidingLaw
+from dtmpc_drake.method.tube import TubeStart
 from dtmpc_drake.models import (
     ConstantUncertainty,
     DragDoubleIntegrator,
@@ -193,11 +194,8 @@ def make_problem(model: Model, **changes: Any) -> Problem:
     goal = np.zeros((n, m))
     goal[0, 0] = 3.0
     defaults: dict[str, Any] = {
-        "model": model,
+        "law": SlidingLaw(model, np.full(m, 2.0), np.full(m, 0.3), 0.1),
         "obstacles": ObstacleSet.stack([], m),
-        "slope": np.full(m, 2.0),
-        "disturbance_bound": np.full(m, 0.3),
-        "reaching_rate": 0.1,
         "bandwidth_min": np.full(m, 0.5),
         "bandwidth_max": np.full(m, 4.0),
         "bandwidth_rate_max": 2.0,
@@ -210,12 +208,29 @@ def make_problem(model: Model, **changes: Any) -> Problem:
         "duration": 6.0,
         "start": np.zeros((n, m)),
         "goal": goal,
-        "initial_error": np.zeros((n, m)),
-        "initial_boundary_layer": np.full(m, 0.3),
+        "tube_start": TubeStart(np.zeros((n, m)), np.zeros(m)),
         "tube_margin": "norm",
         "velocity_bound": "comparison",
     }
-    return Problem(**(defaults | changes))
+    start = {"initial_error": np.zeros((n, m)), "layer": np.full(m, 0.3)}
+    return changed_problem(Problem(**defaults), **(start | changes))
+
+
+def changed_problem(problem: Problem, **changes: Any) -> Problem:
+    """The same with other fields: its own, those of its law, or of its tube's start.
+
+    The latter are `initial_error`, ``(n, m)``, or bounds of it, and `layer`, ``(m,)``.
+    """
+    law = problem.law
+    of_law = {f.name for f in dataclasses.fields(law)} & set(changes)
+    law = dataclasses.replace(law, **{name: changes.pop(name) for name in of_law})
+    start = problem.tube_start
+    layer = changes.pop("layer", start.layer)
+    if "initial_error" in changes:
+        start = TubeStart.of_error(changes.pop("initial_error"), layer, law.slope)
+    stages = np.concatenate([start.stages[:-1], np.asarray(layer)[None]])
+    start = TubeStart(stages, start.highest)
+    return dataclasses.replace(problem, **({"law": law, "tube_start": start} | changes))
 
 
 Signal = Callable[[float], Array]
@@ -256,12 +271,9 @@ def every_adversary(seed: int, trials: int = 4) -> tuple[Adversary, int]:
 
 def fly(
     *,
-    model: Model,
+    law: SlidingLaw,
     reference: Signal,
     layer: Callable[[float], tuple[Array, Array]],
-    slope: Array,
-    disturbance_bound: Array,
-    reaching_rate: float,
     initial_error: Array,
     adversary: Adversary,
     times: Array,
@@ -272,12 +284,9 @@ def fly(
     is one legal realisation; between, the loop is integrated by Runge-Kutta 4.
 
     Args:
-        model: of the plant's F̂, B and Δ.
+        law: the controller; its model has the plant's F̂, B and Δ.
         reference: y* and its derivatives up to the n-th, ``(n + 1, m)``.
         layer: Φ and dΦ/dt, both ``(m,)``.
-        slope: λ, ``(m,)``.
-        disturbance_bound: D, ``(m,)``.
-        reaching_rate: η.
         initial_error: ``(T, n, m)``.
         adversary: of all T trials.
         times: uniform, ``(K,)``.
@@ -285,26 +294,19 @@ def fly(
     Returns:
         Errors ỹ^(k), ``(K, T, n, m)``.
     """
-    n = model.order
+    model, n = law.model, law.order
     step = times[1] - times[0]
 
     def rate(t: float, error: Array, f: Array, d: Array) -> Array:
         y = reference(t)
         x = y[:n] + error
         thickness, thickness_rate = layer(t)
-        u = control(
-            model=model,
-            state=x,
-            reference=y,
-            boundary_layer=thickness,
-            boundary_layer_rate=thickness_rate,
-            slope=slope,
-            disturbance_bound=disturbance_bound,
-            reaching_rate=reaching_rate,
+        u = law.control(
+            state=x, reference=y, layer=thickness, layer_rate=thickness_rate
         )
         effect = (model.input_matrix(x) @ u[..., None])[..., 0]
         drift = model.drift(x) + f * model.model_error_bound(x)
-        highest = drift + effect + d * disturbance_bound
+        highest = drift + effect + d * law.disturbance_bound
         top = (highest - y[n])[:, None]
         return np.concatenate([error[:, 1:], top], axis=1)
 
@@ -312,7 +314,7 @@ def fly(
     errors[0] = initial_error
     for i, t in enumerate(times[:-1]):
         e = errors[i]
-        f, d = adversary(t, e, sliding_variable(e, slope))
+        f, d = adversary(t, e, law.sliding_variable(e))
         k1 = rate(t, e, f, d)
         k2 = rate(t + step / 2, e + step / 2 * k1, f, d)
         k3 = rate(t + step / 2, e + step / 2 * k2, f, d)

@@ -94,12 +94,12 @@ def test_each_baseline_lacks_one_thing() -> None:
         problem = baselines[name].problem
         assert problem.bandwidth_is_fixed == fixed
         assert isinstance(problem.model, ConstantUncertainty) == constant
-        np.testing.assert_array_equal(problem.disturbance_bound, 0.3)
+        np.testing.assert_array_equal(problem.law.disturbance_bound, 0.3)
         assert problem.velocity_bound == (
             "paper" if name == "both_paper" else "comparison"
         )
     nominal = baselines["nominal"].problem
-    assert not nominal.disturbance_bound.any()
+    assert not nominal.law.disturbance_bound.any()
     assert not nominal.model.model_error_bound(np.ones((2, 3))).any()
 
 

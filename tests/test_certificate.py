@@ -14,10 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from dtmpc_drake.method.sliding import bandwidth as implied_bandwidth
-from dtmpc_drake.method.sliding import switching_gain
-from dtmpc_drake.method.tightening import input_bound, rate_bound
-from dtmpc_drake.method.tube import cascade_bound, comparison_rate, initial_stages
+from dtmpc_drake.method.tightening import Instant, input_bound, rate_bound
+from dtmpc_drake.method.tube import cascade_bound, comparison_rate
 from dtmpc_drake.models import ConstantUncertainty, DragDoubleIntegrator
 from dtmpc_drake.numerics.polynomials import Polynomial
 from dtmpc_drake.obstacles import Ellipsoid, ObstacleSet, Sphere
@@ -26,7 +24,7 @@ from dtmpc_drake.planning.proof.certify import TOP_TOLERANCE, TUBE_TOLERANCE
 from dtmpc_drake.planning.proof.enclosure import enclose
 from dtmpc_drake.records.result import PlanningResult
 from dtmpc_drake.scenario import Planner
-from tests.models_for_tests import every_model, make_problem, name_of
+from tests.models_for_tests import changed_problem, every_model, make_problem, name_of
 
 CASES = [
     pytest.param(model, bound, id=f"{name_of(model)}-{i}-{bound}")
@@ -58,12 +56,7 @@ def gain_along(result: PlanningResult, time):
     """κ = αΦ that the plan's own layer implies."""
     problem = result.problem
     reference = result.plan.reference(time)[..., : problem.model.order, :]
-    return switching_gain(
-        model_error_bound=problem.model.model_error_bound(reference),
-        disturbance_bound=problem.disturbance_bound,
-        reaching_rate=problem.reaching_rate,
-        boundary_layer_rate=result.plan.boundary_layer_rate(time),
-    )
+    return problem.law.gain(reference, result.plan.boundary_layer_rate(time))
 
 
 def integrated_bounds(result: PlanningResult, time):
@@ -72,35 +65,30 @@ def integrated_bounds(result: PlanningResult, time):
     model = problem.model
     n, m = model.order, model.num_outputs
     compare = n > 1 and problem.velocity_bound == "comparison"
-    start = initial_stages(problem.initial_error, problem.slope)[: n - 1]
+    slope = problem.law.slope
+    start = problem.tube_start.stages[: n - 1]
     if compare:
-        start = np.concatenate([start, np.abs(problem.initial_error[-1:])])
+        start = np.concatenate([start, problem.tube_start.highest[None]])
 
     def bounds(t, states):
         stages = np.concatenate([states[: n - 1], plan.boundary_layer(t)[None]])
-        return stages, np.stack(
-            [cascade_bound(stages, problem.slope, k) for k in range(n)]
-        )
+        return stages, np.stack([cascade_bound(stages, slope, k) for k in range(n)])
 
     def rate(t, flat):
         states = flat.reshape(-1, m)
         stages, bound = bounds(t, states)
-        rates = stages[1:] - problem.slope * stages[:-1]
+        rates = stages[1:] - slope * stages[:-1]
         if compare:
             bound[-1] = np.minimum(states[-1], bound[-1])
             top = comparison_rate(
-                model=model,
+                problem.law,
                 reference=plan.reference(t)[:n],
-                bandwidth=implied_bandwidth(
-                    gain=gain_along(result, t), boundary_layer=plan.boundary_layer(t)
-                ),
+                bandwidth=gain_along(result, t) / plan.boundary_layer(t),
                 error_bound=bound,
-                slope=problem.slope,
-                disturbance_bound=problem.disturbance_bound,
             )
             # The decay acts on W itself, whichever bound Δ̄ looks at.
             alpha = gain_along(result, t) / plan.boundary_layer(t)
-            top -= (alpha + (n - 1) * problem.slope) * (states[-1] - bound[-1])
+            top -= (alpha + (n - 1) * slope) * (states[-1] - bound[-1])
             rates = np.concatenate([rates, top[None]])
         return rates.ravel()
 
@@ -147,16 +135,9 @@ def test_every_margin_is_below_a_dense_sample_of_it_and_near(result):
     reference, gain = plan.reference(time), gain_along(result, time)
     bound = integrated_bounds(result, time)
     bandwidth = gain / plan.boundary_layer(time)
-    known = {
-        "model": problem.model,
-        "reference": reference[:, :n],
-        "error_bound": bound,
-        "gain": gain,
-    }
-    speed = np.abs(reference[:, 1]) + rate_bound(
-        disturbance_bound=problem.disturbance_bound, **known
-    )
-    used = input_bound(highest=reference[:, n], slope=problem.slope, **known)
+    at = Instant(reference[:, :n], reference[:, n], gain, bound)
+    speed = np.abs(reference[:, 1]) + rate_bound(problem.law, at)
+    used = input_bound(problem.law, at)
     dense = {
         "speed": problem.speed_limit - speed.max(),
         "input": problem.input_limit - used.max(),
@@ -189,7 +170,7 @@ def test_an_error_that_feeds_on_itself_has_no_velocity_tube():
     result = plan_problem(make_problem(model), Planner(intervals=24))
     assert result.certified
     wild = dataclasses.replace(model, drag_error_bound=20.0)
-    problem = dataclasses.replace(result.problem, model=wild)
+    problem = changed_problem(result.problem, model=wild)
     assert not certify(result.plan, problem).certified
 
 

@@ -17,7 +17,7 @@ from dtmpc_drake.records.margin import Margin
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.records.result import PlanningResult
 from dtmpc_drake.scenario import Planner
-from tests.models_for_tests import make_problem
+from tests.models_for_tests import changed_problem, make_problem
 
 UNKNOWN = ("not a number", "infinite")
 
@@ -78,7 +78,7 @@ def test_a_model_that_is_not_finite_somewhere_has_no_certificate(
     known_result, method, value
 ):
     model = Poisoned(method, value)
-    problem = dataclasses.replace(known_result.problem, model=model)
+    problem = changed_problem(known_result.problem, model=model)
     certificate = certify(known_result.plan, problem)
     assert not certificate.certified and not certificate.kept
     assert certificate.reason.startswith(UNKNOWN)
@@ -108,7 +108,7 @@ LIMITS = {
     "slope": "",
     "disturbance_bound": "",
     "reaching_rate": "",
-    "initial_boundary_layer": "hand_over",
+    "layer": "hand_over",
     "initial_error": "",
     "start": "ends",
     "start_time": "time",
@@ -118,11 +118,14 @@ LIMITS = {
 
 @pytest.mark.parametrize("field", LIMITS)
 def test_a_limit_that_is_not_a_number_is_a_broken_one(known_result, field):
-    value = getattr(known_result.problem, field)
+    at_rest = {"layer": np.full(3, 0.3), "initial_error": np.zeros((2, 3))}
+    problem = known_result.problem
+    of = problem.law if hasattr(problem.law, field) else problem
+    value = at_rest[field] if field in at_rest else getattr(of, field)
     poisoned = np.array(value, dtype=float)
     poisoned.flat[0] = np.nan
-    problem = dataclasses.replace(
-        known_result.problem,
+    problem = changed_problem(
+        problem,
         **{field: poisoned if isinstance(value, np.ndarray) else math.nan},
     )
     certificate = certify(known_result.plan, problem)
@@ -268,7 +271,7 @@ def test_a_planted_fault_is_found_and_named(known_result, fault):
 HAND_OVER = {
     "start_highest": ("y*^(2)", 0.05),
     "start_bandwidth": ("α", 0.05),
-    "initial_boundary_layer": ("Φ*", 1e-3),
+    "layer": ("Φ*", 1e-3),
 }
 
 
@@ -278,11 +281,11 @@ def test_what_a_hand_over_asks_for_is_part_of_the_proof(known_result, field):
     asked = {
         "start_highest": plan.reference(0.0)[2],
         "start_bandwidth": plan.bandwidth(0.0),
-        "initial_boundary_layer": plan.boundary_layer(0.0),
+        "layer": plan.boundary_layer(0.0),
     }
-    problem = dataclasses.replace(known_result.problem, **asked)
+    problem = changed_problem(known_result.problem, **asked)
     assert certify(plan, problem).certified
-    wrong = dataclasses.replace(problem, **{field: asked[field] + HAND_OVER[field][1]})
+    wrong = changed_problem(problem, **{field: asked[field] + HAND_OVER[field][1]})
     certificate = certify(plan, wrong)
     assert not certificate.margins["hand_over"].kept
     assert name in certificate.margins["hand_over"].where
@@ -305,7 +308,9 @@ def implied_bandwidth(plan: Plan, problem: Problem, time):
     """(Δ + D + η - dΦ*/dt)/Φ* for constant Δ."""
     layer, rate = plan.layer(time)
     delta = problem.model.model_error_bound(problem.start)
-    return (delta + problem.disturbance_bound + problem.reaching_rate - rate) / layer
+    return (
+        delta + problem.law.disturbance_bound + problem.law.reaching_rate - rate
+    ) / layer
 
 
 def implied_rate(plan: Plan, problem: Problem) -> float:
@@ -336,7 +341,7 @@ def test_the_bandwidth_that_a_certified_layer_implies_keeps_its_rate(
         bandwidth_max=np.full(2, highest),
         bandwidth_rate_max=rate,
         bandwidth_weight=float(g.choice([0.0, 0.1])),
-        initial_boundary_layer=np.full(2, layer),
+        layer=np.full(2, layer),
         duration=float(g.uniform(1.5, 6.0)),
         input_limit=1000.0,
         speed_limit=100.0,
@@ -357,7 +362,7 @@ def test_a_layer_of_cubics_breaks_the_rate_and_is_caught():
         bandwidth_min=np.full(2, 55.0),
         bandwidth_max=np.full(2, 60.0),
         bandwidth_rate_max=0.1,
-        initial_boundary_layer=np.full(2, 0.6),
+        layer=np.full(2, 0.6),
         duration=1.5,
         input_limit=1000.0,
         speed_limit=100.0,
@@ -394,7 +399,7 @@ def test_where_the_model_error_varies_the_rate_is_that_of_the_knots():
     time = plan.sample_times(1e-3)
     layer, rate = plan.layer(time)
     model_error = problem.model.model_error_bound(plan.reference(time)[:, :2])
-    constant = problem.disturbance_bound + problem.reaching_rate
+    constant = problem.law.disturbance_bound + problem.law.reaching_rate
     implied = (model_error + constant - rate) / layer
     off = np.abs(implied - plan.bandwidth(time)) / plan.bandwidth(time)
     assert off.max() <= 5e-3
@@ -416,7 +421,8 @@ def dense_complaints(plan: Plan, problem: Problem) -> list[str]:
     h = problem.duration / steps
     y = plan.reference(half)
     layer, layer_rate = plan.layer(half)
-    D, eta, slope = problem.disturbance_bound, problem.reaching_rate, problem.slope
+    law = problem.law
+    D, eta, slope = law.disturbance_bound, law.reaching_rate, law.slope
     gain = D + eta - layer_rate
     alpha = gain / layer
     found = []
@@ -435,7 +441,8 @@ def dense_complaints(plan: Plan, problem: Problem) -> list[str]:
             ]
         )
 
-    x = np.abs(problem.initial_error)
+    # For n = 2 the first stage is the position's own error.
+    x = np.stack([problem.tube_start.stages[0], problem.tube_start.highest])
     tube = [x]
     for i in range(0, 2 * steps, 2):
         k1 = rates(i, x)

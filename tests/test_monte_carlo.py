@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from models_for_tests import PlanarOnSlope, ThirdOrderPlanar
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from pydrake.common import RandomDistribution, RandomGenerator
 from pydrake.common.value import Value
@@ -47,7 +46,7 @@ from dtmpc_drake.experiments.monte_carlo import (
 )
 from dtmpc_drake.experiments.spread import batches, spread
 from dtmpc_drake.method.sliding import sliding_variable
-from dtmpc_drake.method.tube import initial_stages
+from dtmpc_drake.method.tube import TubeStart
 from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
 from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.planning import plan
@@ -75,6 +74,7 @@ from dtmpc_drake.systems import (
     hold_plan,
 )
 from dtmpc_drake.visualization import plot_plan, plot_quantiles
+from tests.models_for_tests import PlanarOnSlope, ThirdOrderPlanar
 
 
 def short(model: Any = None, **fields: Any) -> Scenario:
@@ -178,10 +178,13 @@ def test_a_tube_opens_for_every_error_of_that_size(order: int) -> None:
     for _ in range(100):
         size = generator.exponential(size=(order, 2))
         slope = generator.exponential(size=2)
-        opened = initial_stages(size, slope)
+        layer = np.full(2, 0.3)
+        opened = TubeStart.of_error(size, layer, slope)
         for _ in range(20):
             error = size * generator.choice([-1, 1, generator.uniform()], size.shape)
-            assert (initial_stages(error, slope) <= opened * (1 + 1e-12)).all()
+            own = TubeStart.of_error(error, layer, slope)
+            assert (own.stages <= opened.stages * (1 + 1e-12)).all()
+            assert (own.highest <= opened.highest).all()
 
 
 def test_a_worst_case_that_reverses_does_so_at_another_pace_in_every_trial() -> None:

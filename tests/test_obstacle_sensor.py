@@ -14,6 +14,7 @@ from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from dtmpc_drake.experiments import compare, monte_carlo
+from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.stopping import range_needed, stopping_time
 from dtmpc_drake.models import IntegratorChain
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Sphere
@@ -142,14 +143,12 @@ def test_the_stopping_time_is_that_of_the_perfect_spline(order: int) -> None:
 
 
 def test_the_range_grows_with_speed_delay_and_disturbance() -> None:
+    law = SlidingLaw(IntegratorChain(2, 2), np.full(2, 2.0), np.full(2, 0.3), 0.1)
     settings: dict[str, Any] = {
-        "model": IntegratorChain(2, 2),
+        "law": law,
         "velocity": np.array([0.0, 1.5]),
         "bandwidth": 1.0,
-        "slope": np.full(2, 2.0),
-        "disturbance_bound": np.full(2, 0.3),
-        "reaching_rate": 0.1,
-        "initial_boundary_layer": np.full(2, 0.2),
+        "layer": np.full(2, 0.2),
         "input_limit": 5.0,
         "delay": 0.5,
     }
@@ -159,7 +158,7 @@ def test_the_range_grows_with_speed_delay_and_disturbance() -> None:
     for name, value in {
         "velocity": np.array([0.0, 2.0]),
         "delay": 0.7,
-        "disturbance_bound": np.full(2, 0.4),
+        "law": dataclasses.replace(law, disturbance_bound=np.full(2, 0.4)),
         "bandwidth": 0.7,
         "input_limit": 4.0,
     }.items():

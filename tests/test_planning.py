@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -21,7 +19,12 @@ from dtmpc_drake.planning.scp.linearise import (
 from dtmpc_drake.planning.scp.sensitivity import transitions
 from dtmpc_drake.planning.transcription import Transcription, separating_normals
 from dtmpc_drake.scenario import Planner, Scenario, Waypoint, load_scenario
-from tests.models_for_tests import PlanarOnSlope, ThirdOrderPlanar, make_problem
+from tests.models_for_tests import (
+    PlanarOnSlope,
+    ThirdOrderPlanar,
+    changed_problem,
+    make_problem,
+)
 from tests.test_random_scenarios import random_scenario
 
 
@@ -73,7 +76,7 @@ def test_the_tube_obeys_its_differential_equations(known):
     problem = known.problem
     s = known.plan.sample()
     step = s["time"][1] - s["time"][0]
-    forcing = problem.disturbance_bound + problem.reaching_rate
+    forcing = problem.law.forcing_of(0.0)
     np.testing.assert_allclose(
         s["boundary_layer_rate"],
         forcing - s["bandwidth"] * s["boundary_layer"],
@@ -82,7 +85,7 @@ def test_the_tube_obeys_its_differential_equations(known):
     rate = np.gradient(s["position_tube"], step, axis=0)
     np.testing.assert_allclose(
         rate[2:-2],
-        (s["boundary_layer"] - problem.slope * s["position_tube"])[2:-2],
+        (s["boundary_layer"] - problem.law.slope * s["position_tube"])[2:-2],
         atol=2e-3,
     )
 
@@ -137,14 +140,14 @@ def test_a_warm_start_keeps_the_certificate_in_fewer_iterations(known):
 def test_a_plan_may_start_on_the_way_with_an_open_tube(known):
     time = 1.0
     reference = known.plan.reference(time)
-    problem = dataclasses.replace(
+    problem = changed_problem(
         known.problem,
         start_time=time,
         duration=known.plan.end_time - time,
         start=reference[:2],
         start_highest=reference[2],
         start_bandwidth=known.plan.bandwidth(time),
-        initial_boundary_layer=known.plan.boundary_layer(time),
+        layer=known.plan.boundary_layer(time),
         initial_error=np.array([[0.02, 0.01, 0.0], [0.05, 0.0, 0.0]]),
     )
     settings = load_scenario("known_environment").planner
@@ -190,7 +193,7 @@ def test_an_obstacle_between_two_knots_is_caught(known):
     ],
 )
 def test_every_broken_limit_is_caught(known, field, value, name):
-    problem = dataclasses.replace(known.problem, **{field: value})
+    problem = changed_problem(known.problem, **{field: value})
     certificate = certify(known.plan, problem)
     assert not certificate.certified
     assert certificate.margins[name].value < 0

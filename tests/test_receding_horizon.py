@@ -16,7 +16,7 @@ from dtmpc_drake.models import IntegratorChain
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid
 from dtmpc_drake.planning import Problem, certify, plan, replan
 from dtmpc_drake.planning.proof.certify import clearance_ahead
-from dtmpc_drake.planning.replanning import carried_error, problem_on_the_way
+from dtmpc_drake.planning.replanning import carried_start, problem_on_the_way
 from dtmpc_drake.records.flight import Flight
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.records.replan import Replan, counted, plans_in_force, table
@@ -414,7 +414,7 @@ def test_models_of_other_orders_are_planned_again(order: int) -> None:
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
-def test_a_carried_error_is_that_of_the_tube_that_opens_at_the_measurement(
+def test_a_carried_start_is_that_of_the_tube_that_opens_at_the_measurement(
     order: int,
 ) -> None:
     scenario = corridor(
@@ -431,15 +431,20 @@ def test_a_carried_error_is_that_of_the_tube_that_opens_at_the_measurement(
     error = 0.2 * flown.plan.error_bound(2.0) * [1.0, -1.0]
     state = flown.plan.reference(2.0)[:order] + error
     kept = {"measured_at": 2.0, "state": state}
-    now = carried_error(flown.plan, flown.problem, until=2.0, **kept)
-    np.testing.assert_allclose(np.abs(now[[0, -1]]), np.abs(error[[0, -1]]))
+    now = carried_start(flown.plan, flown.problem, until=2.0, **kept)
+    np.testing.assert_allclose(now.highest, np.abs(error[-1]))
+    if order > 1:
+        np.testing.assert_allclose(now.stages[0], np.abs(error[0]))
     problem = problem_on_the_way(flown.problem, flown.plan, start=2.5, **kept)
-    opened = carried_error(flown.plan, flown.problem, until=2.5, **kept)
-    np.testing.assert_array_equal(problem.initial_error, opened)
+    opened = carried_start(flown.plan, flown.problem, until=2.5, **kept)
+    np.testing.assert_array_equal(problem.tube_start.stages, opened.stages)
+    np.testing.assert_array_equal(problem.tube_start.highest, opened.highest)
+    np.testing.assert_array_equal(opened.layer, flown.plan.boundary_layer(2.5))
     own = flown.plan.error_bound(2.5)
-    assert (np.abs(opened[[0, -1]]) <= own[[0, -1]] + 1e-12).all()
+    assert (opened.stages[0] <= own[0] + 1e-12).all()
+    assert (opened.highest <= own[-1] + 1e-12).all()
     if order > 1:  # else Ω is Φ, which nothing opens anew
-        assert (np.abs(opened[0]) < 0.95 * own[0]).all()
+        assert (opened.stages[0] < 0.95 * own[0]).all()
     assert problem.start_time + problem.duration == pytest.approx(6.0)
 
 

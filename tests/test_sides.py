@@ -11,6 +11,7 @@ import pytest
 from dtmpc_drake.diagrams import Simulate
 from dtmpc_drake.experiments.random_fields import SEEDS, compare, random_field
 from dtmpc_drake.experiments.simulate import CANDIDATES, run
+from dtmpc_drake.method.tube import TubeStart
 from dtmpc_drake.models import IntegratorChain
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Obstacle, Sphere
 from dtmpc_drake.planning import Problem, plan, plan_problem
@@ -330,8 +331,9 @@ def on_the_way(plan_, problem: Problem, time: float) -> Problem:
         start=reference[:2],
         start_highest=reference[2],
         start_bandwidth=plan_.bandwidth(time),
-        initial_boundary_layer=plan_.boundary_layer(time),
-        initial_error=plan_.error_bound(time),
+        tube_start=TubeStart.of_error(
+            plan_.error_bound(time), plan_.boundary_layer(time), problem.law.slope
+        ),
     )
 
 

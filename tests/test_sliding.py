@@ -9,7 +9,18 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from models_for_tests import (
+from pydrake.autodiffutils import InitializeAutoDiff
+
+from dtmpc_drake.method.sliding import (
+    SlidingLaw,
+    gain_crossover,
+    saturation,
+    sliding_variable,
+    surface_coefficients,
+)
+from dtmpc_drake.models import ConstantUncertainty, IntegratorChain, Model
+from dtmpc_drake.numerics.arrays import Array
+from tests.models_for_tests import (
     every_adversary,
     every_model,
     fly,
@@ -17,19 +28,6 @@ from models_for_tests import (
     one_model_of_each_order,
     wave,
 )
-from pydrake.autodiffutils import InitializeAutoDiff
-
-from dtmpc_drake.method.sliding import (
-    bandwidth,
-    control,
-    gain_crossover,
-    saturation,
-    sliding_variable,
-    surface_coefficients,
-    switching_gain,
-)
-from dtmpc_drake.models import IntegratorChain, Model
-from dtmpc_drake.numerics.arrays import Array
 
 models = pytest.mark.parametrize("model", every_model(), ids=name_of)
 each_order = pytest.mark.parametrize("model", one_model_of_each_order(), ids=name_of)
@@ -76,15 +74,13 @@ def test_saturation_has_derivatives() -> None:
 
 
 def test_the_gain_and_the_bandwidth_are_the_papers() -> None:
-    gain = switching_gain(
-        model_error_bound=np.array([0.4, 0.0]),
-        disturbance_bound=np.array([0.5, 0.5]),
-        reaching_rate=0.1,
-        boundary_layer_rate=np.array([-0.2, 0.3]),
-    )
-    assert gain == pytest.approx([1.2, 0.3])
+    model = ConstantUncertainty(IntegratorChain(2, 1), np.array([0.4, 0.0]))
+    law = SlidingLaw(model, np.full(2, 2.0), np.array([0.5, 0.5]), 0.1)
+    anywhere, layer_rate = np.zeros((1, 2)), np.array([-0.2, 0.3])
+    assert law.gain(anywhere, layer_rate) == pytest.approx([1.2, 0.3])
     layer = np.array([0.3, 0.1])
-    assert bandwidth(gain=gain, boundary_layer=layer) == pytest.approx([4.0, 3.0])
+    implied = law.implied_bandwidth(anywhere, layer, layer_rate)
+    assert implied == pytest.approx([4.0, 3.0])
 
 
 @models
@@ -105,15 +101,8 @@ def test_outside_the_layer_s_approaches_it_at_the_reaching_rate(
     wanted = side * layer * rng.choice([1.0, 1.0, 3.0], (batch, m))
     error[:, -1] += wanted - sliding_variable(error, slope)
     state = reference[:n] + error
-    u = control(
-        model=model,
-        state=state,
-        reference=reference,
-        boundary_layer=layer,
-        boundary_layer_rate=layer_rate,
-        slope=slope,
-        disturbance_bound=D,
-        reaching_rate=eta,
+    u = SlidingLaw(model, slope, D, eta).control(
+        state=state, reference=reference, layer=layer, layer_rate=layer_rate
     )
     f = rng.uniform(-1, 1, (batch, m)) * model.model_error_bound(state)
     d = rng.choice([-1.0, 1.0], (batch, m)) * D
@@ -133,15 +122,13 @@ def test_on_the_reference_with_nothing_unknown_the_control_is_feedforward(
     for model in every_model():
         reference = rng.normal(size=(model.order + 1, model.num_outputs))
         state = reference[:-1]
-        u = control(
-            model=model,
+        m = model.num_outputs
+        law = SlidingLaw(model, np.full(m, 2.0), np.full(m, 0.5), 0.1)
+        u = law.control(
             state=state,
             reference=reference,
-            boundary_layer=np.array(0.3),
-            boundary_layer_rate=np.array(0.0),
-            slope=np.full(model.num_outputs, 2.0),
-            disturbance_bound=np.array(0.5),
-            reaching_rate=0.1,
+            layer=np.array(0.3),
+            layer_rate=np.array(0.0),
         )
         reached = model.drift(state) + model.input_matrix(state) @ u
         assert reached == pytest.approx(reference[-1])
@@ -185,12 +172,9 @@ def test_the_layer_is_invariant_for_any_smooth_layer(
     wanted = rng.choice([-1.0, 1.0, 0.5], (trials, m)) * layer(0.0)[0]
     error[:, -1] += wanted - sliding_variable(error, slope)
     errors = fly(
-        model=model,
+        law=SlidingLaw(model, slope, np.full(m, 0.5), 0.1),
         reference=wave(model, 1.0, 0.8),
         layer=layer,
-        slope=slope,
-        disturbance_bound=np.full(m, 0.5),
-        reaching_rate=0.1,
         initial_error=error,
         adversary=adversary,
         times=times,
@@ -209,12 +193,9 @@ def test_the_layer_would_not_be_invariant_under_a_larger_disturbance() -> None:
         return np.zeros_like(s), 1.5 * np.ones_like(s)
 
     errors = fly(
-        model=model,
+        law=SlidingLaw(model, slope, np.array([0.5]), 0.1),
         reference=wave(model, 1.0, 0.8),
         layer=lambda t: (np.array([0.3]), np.array([0.0])),
-        slope=slope,
-        disturbance_bound=np.array([0.5]),
-        reaching_rate=0.1,
         initial_error=np.zeros((1, 2, 1)),
         adversary=push,
         times=np.arange(601) * 0.005,
@@ -231,16 +212,11 @@ def test_a_batch_of_controls_is_its_entries_one_by_one(model: Model) -> None:
     reference = rng.normal(size=(4, n + 1, m))
     layer, layer_rate = rng.uniform(0.1, 1, (4, m)), rng.normal(size=(4, m))
 
+    law = SlidingLaw(model, np.full(m, 2.0), np.full(m, 0.5), 0.1)
+
     def one(state: Array, reference: Array, layer: Array, rate: Array) -> Array:
-        return control(
-            model=model,
-            state=state,
-            reference=reference,
-            boundary_layer=layer,
-            boundary_layer_rate=rate,
-            slope=np.full(m, 2.0),
-            disturbance_bound=np.full(m, 0.5),
-            reaching_rate=0.1,
+        return law.control(
+            state=state, reference=reference, layer=layer, layer_rate=rate
         )
 
     whole = one(state, reference, layer, layer_rate)
@@ -307,15 +283,11 @@ def test_at_the_crossover_the_control_law_answers_as_much_as_it_is_given(
     jet = 1e-3 * 1j**powers * frequency ** (powers - order)  # within the layer
 
     def answer(error: Array) -> Array:
-        return control(
-            model=model,
+        return SlidingLaw(model, slope, D, eta).control(
             state=error,
             reference=np.zeros((order + 1, 2)),
-            boundary_layer=(D + eta) / alpha,
-            boundary_layer_rate=np.zeros(2),
-            slope=slope,
-            disturbance_bound=D,
-            reaching_rate=eta,
+            layer=(D + eta) / alpha,
+            layer_rate=np.zeros(2),
         )
 
     back = answer(jet[:-1].real) + 1j * answer(jet[:-1].imag)

@@ -181,15 +181,11 @@ def test_the_tracker_is_the_control_law(scenario: Scenario, resting: Plan) -> No
     reference = tracker.GetOutputPort("reference").Eval(context)
     np.testing.assert_array_equal(reference, resting.reference(0.7).ravel())
     layer, layer_rate = resting.layer(0.7)
-    expected = sliding.control(
-        model=scenario.planning_model(),
+    expected = scenario.sliding_law().control(
         state=state,
         reference=resting.reference(0.7),
-        boundary_layer=layer,
-        boundary_layer_rate=layer_rate,
-        slope=scenario.slope(),
-        disturbance_bound=scenario.disturbance_bound(),
-        reaching_rate=scenario.controller.reaching_rate,
+        layer=layer,
+        layer_rate=layer_rate,
     )
     np.testing.assert_allclose(tracker.GetOutputPort("control").Eval(context), expected)
 

@@ -8,12 +8,17 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from models_for_tests import FractionOfBound, PlanarOnSlope, every_model, name_of
 
-from dtmpc_drake.method.sliding import control
-from dtmpc_drake.method.tightening import feedback_bound, input_bound, rate_bound
+from dtmpc_drake.method.sliding import SlidingLaw
+from dtmpc_drake.method.tightening import (
+    Instant,
+    feedback_bound,
+    input_bound,
+    rate_bound,
+)
 from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain, Model
 from dtmpc_drake.numerics.arrays import Array
+from tests.models_for_tests import FractionOfBound, PlanarOnSlope, every_model, name_of
 
 
 @dataclasses.dataclass
@@ -53,12 +58,8 @@ models = pytest.mark.parametrize("model", [*every_model(), CalmAway()], ids=name
 class Situation:
     """A reference, a box of errors around it, a layer, and states of the box."""
 
-    model: Model
-    reference: Array
-    radius: Array
-    gain: Array
-    slope: Array
-    D: Array
+    law: SlidingLaw
+    at: Instant
     states: Array
     inputs: Array
 
@@ -73,7 +74,8 @@ class Situation:
         gain = rng.uniform(0, 1.5, m)
         # The layer's rate that makes this gain, growing layers included.
         layer = rng.uniform(0.05, 0.5, m)
-        layer_rate = model.model_error_bound(reference[:n]) + D + eta - gain
+        law = SlidingLaw(model, slope, D, eta)
+        layer_rate = law.forcing(reference[:n]) - gain
         unit = np.concatenate(
             [
                 rng.uniform(-1, 1, (150, n, m)),
@@ -81,17 +83,11 @@ class Situation:
             ]
         )
         states = reference[:n] + unit * radius
-        inputs = control(
-            model=model,
-            state=states,
-            reference=reference,
-            boundary_layer=layer,
-            boundary_layer_rate=layer_rate,
-            slope=slope,
-            disturbance_bound=D,
-            reaching_rate=eta,
+        inputs = law.control(
+            state=states, reference=reference, layer=layer, layer_rate=layer_rate
         )
-        return cls(model, reference, radius, gain, slope, D, states, inputs)
+        at = Instant(reference[:n], reference[n], gain, radius)
+        return cls(law, at, states, inputs)
 
 
 seeds = st.integers(0, 2**32 - 1)
@@ -103,29 +99,16 @@ def test_the_feedback_bound_holds_everywhere_in_the_tube(
     model: Model, seed: int
 ) -> None:
     case = Situation.draw(model, seed)
-    bound = feedback_bound(
-        model=model,
-        reference=case.reference[:-1],
-        error_bound=case.radius,
-        gain=case.gain,
-        slope=case.slope,
-    )
+    bound = feedback_bound(case.law, case.at)
     effect = np.einsum("bij,bj->bi", model.input_matrix(case.states), case.inputs)
-    assert (np.abs(effect - case.reference[-1]) <= bound + 1e-9).all()
+    assert (np.abs(effect - case.at.highest) <= bound + 1e-9).all()
 
 
 @models
 @given(seed=seeds)
 def test_the_input_bound_holds_everywhere_in_the_tube(model: Model, seed: int) -> None:
     case = Situation.draw(model, seed)
-    bound = input_bound(
-        model=model,
-        reference=case.reference[:-1],
-        highest=case.reference[-1],
-        error_bound=case.radius,
-        gain=case.gain,
-        slope=case.slope,
-    )
+    bound = input_bound(case.law, case.at)
     assert bound.shape == ()
     assert np.linalg.norm(case.inputs, axis=-1).max() <= bound + 1e-9
 
@@ -140,29 +123,18 @@ def test_how_the_input_matrix_changes_over_the_tube_matters(
     model = PlanarOnSlope(pull=0.0, roughness=0.0)
     reference = np.array([[0.0, 0.0], [0.0, 0.0], [highest, 0.0]])
     error = np.array([[1.0, 0.0], [velocity_error, 0.0]])
-    u = control(
-        model=model,
+    law = SlidingLaw(model, np.full(2, 2.0), np.full(2, 0.0), 0.1)
+    u = law.control(
         state=reference[:2] + error,
         reference=reference,
-        boundary_layer=np.full(2, 0.1),
-        boundary_layer_rate=np.full(2, 0.0),
-        slope=np.full(2, 2.0),
-        disturbance_bound=np.full(2, 0.0),
-        reaching_rate=0.1,
+        layer=np.full(2, 0.1),
+        layer_rate=np.full(2, 0.0),
     )
 
     def bound(position_tube: float) -> float:
         tube = np.array([[position_tube, 0.0], [velocity_error, 0.0]])
-        return float(
-            input_bound(
-                model=model,
-                reference=reference[:2],
-                highest=reference[2],
-                error_bound=tube,
-                gain=np.full(2, 0.1),
-                slope=np.full(2, 2.0),
-            )
-        )
+        at = Instant(reference[:2], reference[2], np.full(2, 0.1), tube)
+        return float(input_bound(law, at))
 
     assert bound(0.0) < np.linalg.norm(u) <= bound(1.0)
 
@@ -174,23 +146,17 @@ def test_the_rate_bound_tightens_the_speed_limit_by_enough(
 ) -> None:
     case = Situation.draw(model, seed)
     rng = np.random.default_rng(seed)
-    found = rate_bound(
-        model=model,
-        reference=case.reference[:-1],
-        error_bound=case.radius,
-        gain=case.gain,
-        disturbance_bound=case.D,
-    )
+    found = rate_bound(case.law, case.at)
     if model.order > 1:
-        assert (found == case.radius[1]).all()
+        assert (found == case.at.error_bound[1]).all()
         return
     # For n = 1 the speed is what the input and all that is unknown make of it.
     # The drift is cancelled, so it is f̃ + d - K sat(s / Φ) for any saturation.
-    known = model.model_error_bound(case.reference[:-1])
+    known = model.model_error_bound(case.at.state)
     here = model.model_error_bound(case.states)
-    gain = case.gain + here - known
+    gain = case.at.gain + here - known
     f, d, sat = rng.choice([-1.0, 1.0], (3, 20, *here.shape))
-    speeds = f * here + d * case.D - gain * sat
+    speeds = f * here + d * case.law.disturbance_bound - gain * sat
     assert (np.abs(speeds) <= found + 1e-9).all()
 
 
@@ -200,27 +166,21 @@ def test_the_feedback_bound_of_the_paper_by_hand() -> None:
     reference = np.array([[0.0, 0.0, 1.0], [0.0, -2.0, 0.0]])
     tube = np.array([[0.1, 0.1, 0.1], [0.0, 0.4, 0.0]])
     gain = np.array([0.6, 1.4, 0.6])
-    found = feedback_bound(
-        model=model,
-        reference=reference,
-        error_bound=tube,
-        gain=gain,
-        slope=np.full(3, 2.0),
-    )
+    law = SlidingLaw(model, np.full(3, 2.0), np.zeros(3), 0.1)
+    found = feedback_bound(law, Instant(reference, np.zeros(3), gain, tube))
     along = 0.1 * 2.4**2 + 2 * 0.4 + 1.4 + 0.2 * (2.4**2 - 2.0**2)
     assert found == pytest.approx([0.6, along, 0.6], abs=1e-5)
 
 
 def test_the_input_bound_without_a_tube_is_the_papers_sum_of_norms() -> None:
     model = IntegratorChain(num_outputs=3, order=2)
-    found = input_bound(
-        model=model,
-        reference=np.zeros((2, 3)),
+    at = Instant(
+        state=np.zeros((2, 3)),
         highest=np.array([3.0, 4.0, 0.0]),
-        error_bound=np.zeros((2, 3)),
         gain=np.array([0.0, 0.6, 0.8]),
-        slope=np.full(3, 2.0),
+        error_bound=np.zeros((2, 3)),
     )
+    found = input_bound(SlidingLaw(model, np.full(3, 2.0), np.zeros(3), 0.1), at)
     assert found == pytest.approx(6.0, abs=1e-5)
 
 
@@ -230,22 +190,9 @@ def test_bounds_along_a_plan_are_those_of_each_instant(model: Model) -> None:
     n, m = model.order, model.num_outputs
     reference, radius = rng.normal(size=(4, n, m)), rng.uniform(0, 1, (4, n, m))
     highest, gain = rng.normal(size=(4, m)), rng.uniform(0, 1, (4, m))
-    slope = np.full(m, 2.0)
-    whole = input_bound(
-        model=model,
-        reference=reference,
-        highest=highest,
-        error_bound=radius,
-        gain=gain,
-        slope=slope,
-    )
+    law = SlidingLaw(model, np.full(m, 2.0), np.zeros(m), 0.1)
+    whole = input_bound(law, Instant(reference, highest, gain, radius))
     for i in range(4):
-        single = input_bound(
-            model=model,
-            reference=reference[i],
-            highest=highest[i],
-            error_bound=radius[i],
-            gain=gain[i],
-            slope=slope,
-        )
+        one = Instant(reference[i], highest[i], gain[i], radius[i])
+        single = input_bound(law, one)
         assert whole[i] == pytest.approx(single)

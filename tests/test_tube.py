@@ -10,21 +10,14 @@ import pytest
 import scipy.integrate
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from models_for_tests import (
-    every_adversary,
-    fly,
-    name_of,
-    one_model_of_each_order,
-    wave,
-)
 
-from dtmpc_drake.method.sliding import sliding_variable
+from dtmpc_drake.method.sliding import SlidingLaw, sliding_variable
 from dtmpc_drake.method.tube import (
     Tube,
+    TubeStart,
     VelocityBound,
     cascade_bound,
     filter_rates,
-    initial_stages,
     propagate,
     propagate_error_bounds,
 )
@@ -32,6 +25,13 @@ from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain, Model
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.filters import half_grid, integrate_filter, linear_recurrence
 from dtmpc_drake.scenario import Scenario
+from tests.models_for_tests import (
+    every_adversary,
+    fly,
+    name_of,
+    one_model_of_each_order,
+    wave,
+)
 
 if TYPE_CHECKING:
     from dtmpc_drake.records.result import PlanningResult
@@ -116,14 +116,10 @@ def test_the_layer_is_exponential_at_constant_bandwidth(
     model = IntegratorChain(num_outputs=2, order=1, error_bound=error)
     steps, step = 200, 0.01
     tube = propagate(
-        model=model,
+        SlidingLaw(model, np.full(2, 2.0), np.array([disturbance, 0.0]), REACHING_RATE),
         reference=np.zeros((2 * steps + 1, 1, 2)),
         bandwidth=np.full((2 * steps + 1, 2), alpha),
-        slope=np.full(2, 2.0),
-        disturbance_bound=np.array([disturbance, 0.0]),
-        reaching_rate=REACHING_RATE,
-        initial_boundary_layer=np.full(2, initial),
-        initial_error=np.zeros((1, 2)),
+        start=TubeStart(np.full((1, 2), initial), np.zeros(2)),
         velocity_bound="comparison",
         step=step,
     )
@@ -144,14 +140,15 @@ def test_the_layer_at_linear_bandwidth(
     half = np.linspace(0, duration, 2 * steps + 1)
     alpha = start + (end - start) * half / duration
     tube = propagate(
-        model=IntegratorChain(num_outputs=1, order=1, error_bound=0.3),
+        SlidingLaw(
+            IntegratorChain(num_outputs=1, order=1, error_bound=0.3),
+            np.array([2.0]),
+            np.array([0.5]),
+            REACHING_RATE,
+        ),
         reference=np.zeros((len(half), 1, 1)),
         bandwidth=alpha[:, None],
-        slope=np.array([2.0]),
-        disturbance_bound=np.array([0.5]),
-        reaching_rate=REACHING_RATE,
-        initial_boundary_layer=np.array([initial]),
-        initial_error=np.zeros((1, 1)),
+        start=TubeStart(np.array([[initial]]), np.zeros(1)),
         velocity_bound="comparison",
         step=duration / steps,
     )
@@ -182,16 +179,14 @@ def flown(
     """Node times and the tube along a wave, at a bandwidth alpha(t)."""
     half = np.linspace(0, duration, 2 * steps + 1)
     tube = propagate(
-        model=model,
+        SlidingLaw(model, slope, disturbance_bound, REACHING_RATE),
         reference=wave(model, *signal)(half)[:, : model.order],
         bandwidth=np.broadcast_to(
             np.asarray(alpha(half))[:, None], (len(half), model.num_outputs)
         ),
-        slope=slope,
-        disturbance_bound=disturbance_bound,
-        reaching_rate=REACHING_RATE,
-        initial_boundary_layer=np.full(model.num_outputs, initial_layer),
-        initial_error=initial_error,
+        start=TubeStart.of_error(
+            initial_error, np.full(model.num_outputs, initial_layer), slope
+        ),
         velocity_bound=velocity_bound,
         step=duration / steps,
     )
@@ -314,13 +309,10 @@ def test_the_tubes_differential_equation_is_the_one_that_is_integrated(
     )
     states = [tube.stages] + ([tube.error_bound[:, -1:]] if n > 1 else [])
     found = filter_rates(
-        model=model,
+        SlidingLaw(model, slope, D, REACHING_RATE),
         reference=wave(model, 1.0, 0.8)(times)[:, :n],
         bandwidth=np.broadcast_to((2 + np.sin(times))[:, None], (len(times), m)),
         states=np.concatenate(states, axis=1),
-        slope=slope,
-        disturbance_bound=D,
-        reaching_rate=REACHING_RATE,
     )
     assert found[:, n - 1] == pytest.approx(tube.boundary_layer_rate)
     assert found[:, 0] == pytest.approx(tube.error_bound_rate[:, 0])
@@ -336,11 +328,11 @@ def test_the_cascade_bounds_every_derivative_of_every_error(
     rng = np.random.default_rng(seed)
     slope = rng.uniform(0.1, 4, 2)
     error = rng.normal(size=(order, 2))
-    stages = initial_stages(error, slope)
+    layer = np.abs(sliding_variable(error, slope))
+    stages = TubeStart.of_error(error, layer, slope).stages
     for k in range(order):
         bound = cascade_bound(stages, slope, k)
         assert (np.abs(error[k]) <= bound + 1e-9).all()
-    assert stages[-1] == pytest.approx(np.abs(sliding_variable(error, slope)))
     # y_j = (-1)^j: every term of ỹ^(k) = Σ C(k, j) (-λ)^(k-j) y_j has one sign.
     worst = np.zeros((order, 2))
     for k in range(order):
@@ -376,8 +368,8 @@ def test_errors_stay_inside_their_bounds_under_every_adversary(
     half = np.arange(2 * steps + 1) * step / 2
     times = half[::2]
     value, rate = layer(half)
-    known = model.model_error_bound(path(half)[:, :n])
-    alpha = (known + D + REACHING_RATE - rate) / value
+    law = SlidingLaw(model, slope, D, REACHING_RATE)
+    alpha = law.implied_bandwidth(path(half)[:, :n], value, rate)
     assert (alpha > 0).all()
     adversary, trials = every_adversary(seed)
     error = rng.normal(scale=0.05, size=(trials, n, m))
@@ -386,24 +378,19 @@ def test_errors_stay_inside_their_bounds_under_every_adversary(
     # Bounds hold for a set of starts when they are given its largest stages.
     largest = np.abs(error).max(axis=0)
     tube = propagate_error_bounds(
-        model=model,
+        law,
         reference=path(half)[:, :n],
         bandwidth=alpha,
-        boundary_layer=value[::2],
-        boundary_layer_rate=rate[::2],
-        slope=slope,
-        disturbance_bound=D,
-        initial_error=largest,
+        layer=value[::2],
+        layer_rate=rate[::2],
+        start=TubeStart.of_error(largest, value[0], slope),
         velocity_bound=velocity_bound,
         step=step,
     )
     errors = fly(
-        model=model,
+        law=law,
         reference=path,
         layer=layer,
-        slope=slope,
-        disturbance_bound=D,
-        reaching_rate=REACHING_RATE,
         initial_error=error,
         adversary=adversary,
         times=times,
@@ -467,12 +454,9 @@ def along_the_known_plan(
     adversary, trials = every_adversary(seed=0, trials=6)
 
     errors = fly(
-        model=known_scenario.planning_model(),
+        law=known_scenario.sliding_law(),
         reference=plan.reference,
         layer=plan.layer,
-        slope=known_scenario.slope(),
-        disturbance_bound=known_scenario.disturbance_bound(),
-        reaching_rate=known_scenario.controller.reaching_rate,
         initial_error=np.zeros((trials, 2, 3)),
         adversary=adversary,
         times=times,

@@ -13,7 +13,7 @@ from math import factorial
 
 import numpy as np
 
-from dtmpc_drake.models import Model
+from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.filters import linear_recurrence
 
@@ -60,13 +60,11 @@ def _by_step(values: Array) -> Array:
 
 
 def layer_pieces(
+    law: SlidingLaw,
     *,
-    model: Model,
     reference: Array,
     bandwidth: Array,
-    disturbance_bound: Array,
-    reaching_rate: float,
-    initial_boundary_layer: Array,
+    initial: Array,
     step: float,
 ) -> Array:
     """Φ as polynomials whose implied bandwidth is the given one.
@@ -76,19 +74,17 @@ def layer_pieces(
     the nodes, and kinks of α at the nodes are met.
 
     Args:
-        model: gives Δ.
+        law: gives Δ(x*) + D + η.
         reference: x* on the half grid, ``(2 M + 1, n, m)``.
         bandwidth: α on the half grid, ``(2 M + 1, m)``.
-        disturbance_bound: D, ``(m,)``.
-        reaching_rate: η.
-        initial_boundary_layer: Φ(t0), ``(m,)``.
+        initial: Φ(t0), ``(m,)``.
         step: between two nodes, in s.
 
     Returns:
         Coefficients in powers of the time since a step began, ``(M, 8, m)``.
     """
-    forcing = model.model_error_bound(reference) + disturbance_bound + reaching_rate
-    layer, _ = integrate_layer(bandwidth, forcing, initial_boundary_layer, step)
+    forcing = law.forcing(reference)
+    layer, _ = integrate_layer(bandwidth, forcing, initial, step)
     # All in parts of a step, in which α and f are of it, too.
     alpha, force = _parabolas(step * bandwidth), _parabolas(step * forcing)
 

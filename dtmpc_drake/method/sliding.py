@@ -1,4 +1,4 @@
-"""Boundary-layer sliding control (the paper's section IV): pure functions.
+"""Boundary-layer sliding control (the paper's section IV).
 
 Shapes: an error or a reference has shape ``(..., n, m)`` with the derivatives
 along the last but one axis; slope, gain and layer have shape ``(..., m)``.
@@ -6,6 +6,7 @@ along the last but one axis; slope, gain and layer have shape ``(..., m)``.
 
 from __future__ import annotations
 
+import dataclasses
 from functools import lru_cache
 from math import comb
 
@@ -69,24 +70,6 @@ def saturation(value: Array) -> Array:
     return np.array(flat, dtype=object).reshape(value.shape)
 
 
-def switching_gain(
-    *,
-    model_error_bound: Array,
-    disturbance_bound: Array,
-    reaching_rate: float,
-    boundary_layer_rate: Array,
-) -> Array:
-    """K(x) = Δ(x) + D + η - dΦ*/dt  (eq. K), in output unit / s^n."""
-    return np.asarray(
-        model_error_bound + disturbance_bound + reaching_rate - boundary_layer_rate
-    )
-
-
-def bandwidth(*, gain: Array, boundary_layer: Array) -> Array:
-    """α = K(x*) / Φ*: the bandwidth that the layer implies (eq. phidot), rad/s."""
-    return np.asarray(gain / boundary_layer)
-
-
 def gain_crossover(*, bandwidth: Array, slope: Array, order: int) -> Array:
     """ω_c, the bandwidth of the whole loop: the largest ω at which |L(jω)| = 1.
 
@@ -130,48 +113,91 @@ def gain_crossover(*, bandwidth: Array, slope: Array, order: int) -> Array:
     return np.asarray(scale * np.sqrt(crossings.max(axis=-1)))
 
 
-def control(
-    *,
-    model: Model,
-    state: Array,
-    reference: Array,
-    boundary_layer: Array,
-    boundary_layer_rate: Array,
-    slope: Array,
-    disturbance_bound: Array,
-    reaching_rate: float,
-) -> Array:
-    """The tracking control law u  (eq. u, in the form of eq. uff).
+@dataclasses.dataclass(frozen=True, eq=False)
+class SlidingLaw:
+    """The controller: a model, and the constants of its sliding surface and gain.
 
-    Args:
-        model: gives F̂, B⁻¹ and Δ.
-        state: x, shape ``(..., n, m)``.
-        reference: y* and its derivatives up to the n-th, ``(..., n + 1, m)``.
-        boundary_layer: Φ*, ``(..., m)``.
-        boundary_layer_rate: the exact dΦ*/dt, ``(..., m)``.
-        slope: λ, ``(m,)``.
-        disturbance_bound: D, ``(m,)``.
-        reaching_rate: η.
-
-    Returns:
-        u, shape ``(..., m)``.
+    Attributes:
+        model: F̂, B, Δ and their bounds, as the controller knows them.
+        slope: λ, ``(m,)``, in 1/s.
+        disturbance_bound: D, ``(m,)``, in output unit / s^n.
+        reaching_rate: η, in output unit / s^n.
     """
-    order = model.order
-    error = state - reference[..., :order, :]
-    coefficients = surface_coefficients(slope, order)
-    # y_r^(n) = y*^(n) - Σ_{k=1}^{n-1} C(n-1, k-1) λ^(n-k) ỹ^(k)
-    damping = _weighted_sum(coefficients[..., :-1, :], error[..., 1:, :])
-    gain = switching_gain(
-        model_error_bound=model.model_error_bound(state),
-        disturbance_bound=disturbance_bound,
-        reaching_rate=reaching_rate,
-        boundary_layer_rate=boundary_layer_rate,
-    )
-    s = _weighted_sum(coefficients, error)
-    demand = (
-        reference[..., order, :]
-        - model.drift(state)
-        - damping
-        - gain * saturation(s / boundary_layer)
-    )
-    return model.input_for(state, demand)
+
+    model: Model
+    slope: Array
+    disturbance_bound: Array
+    reaching_rate: float
+
+    @property
+    def order(self) -> int:
+        """The model's n."""
+        return self.model.order
+
+    @property
+    def num_outputs(self) -> int:
+        """The model's m."""
+        return self.model.num_outputs
+
+    @property
+    def coefficients(self) -> Array:
+        """c_k of the sliding surface, ``(n, m)``; see `surface_coefficients`."""
+        return surface_coefficients(self.slope, self.order)
+
+    def sliding_variable(self, error: Array) -> Array:
+        """S of an error ``(..., n, m)``; see the function of that name."""
+        return sliding_variable(error, self.slope)
+
+    def forcing_of(self, model_error: Array | float) -> Array:
+        """What drives the boundary layer where the model error is at most so much.
+
+        Δ + D + η  (eqs. K and phidot), in output unit / s^n.
+
+        Args:
+            model_error: Δ, ``(..., m)``.
+        """
+        return model_error + self.disturbance_bound + self.reaching_rate
+
+    def forcing(self, x: Array) -> Array:
+        """Δ(x) + D + η at a state ``(..., n, m)``, shape ``(..., m)``."""
+        return self.forcing_of(self.model.model_error_bound(x))
+
+    def gain(self, x: Array, layer_rate: Array) -> Array:
+        """K(x) = Δ(x) + D + η - dΦ*/dt  (eq. K), in output unit / s^n.
+
+        Args:
+            x: ``(..., n, m)``.
+            layer_rate: dΦ*/dt, ``(..., m)``.
+        """
+        return self.forcing(x) - layer_rate
+
+    def implied_bandwidth(self, x: Array, layer: Array, layer_rate: Array) -> Array:
+        """α = K(x*) / Φ*: the bandwidth that a layer implies (eq. phidot), rad/s."""
+        return self.gain(x, layer_rate) / layer
+
+    def control(
+        self, *, state: Array, reference: Array, layer: Array, layer_rate: Array
+    ) -> Array:
+        """The tracking control law u  (eq. u, in the form of eq. uff).
+
+        Args:
+            state: x, ``(..., n, m)``.
+            reference: y* and its derivatives up to the n-th, ``(..., n + 1, m)``.
+            layer: Φ*, ``(..., m)``.
+            layer_rate: the exact dΦ*/dt, ``(..., m)``.
+
+        Returns:
+            u, shape ``(..., m)``.
+        """
+        order, coefficients = self.order, self.coefficients
+        error = state - reference[..., :order, :]
+        # y_r^(n) = y*^(n) - Σ_{k=1}^{n-1} C(n-1, k-1) λ^(n-k) ỹ^(k)
+        damping = _weighted_sum(coefficients[..., :-1, :], error[..., 1:, :])
+        s = _weighted_sum(coefficients, error)
+        demand = (
+            reference[..., order, :]
+            - self.model.drift(state)
+            - damping
+            - self.gain(state, layer_rate) * saturation(s / layer)
+        )
+        return self.model.input_for(state, demand)

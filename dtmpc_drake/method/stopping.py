@@ -6,9 +6,9 @@ from math import factorial
 
 import numpy as np
 
-from dtmpc_drake.method.tightening import input_bound
-from dtmpc_drake.method.tube import propagate
-from dtmpc_drake.models import Model
+from dtmpc_drake.method.sliding import SlidingLaw
+from dtmpc_drake.method.tightening import Instant, input_bound
+from dtmpc_drake.method.tube import TubeStart, propagate
 from dtmpc_drake.numerics.arrays import Array
 
 _STEPS = 200  # of the tube's integration, until it has settled
@@ -40,14 +40,11 @@ def stopping_time(speed: float, deceleration: float, order: int) -> float:
 
 
 def range_needed(
+    law: SlidingLaw,
     *,
-    model: Model,
     velocity: Array,
     bandwidth: float,
-    slope: Array,
-    disturbance_bound: Array,
-    reaching_rate: float,
-    initial_boundary_layer: Array,
+    layer: Array,
     input_limit: float,
     delay: float,
 ) -> float:
@@ -61,13 +58,10 @@ def range_needed(
     Where the model's bounds depend on the position, they are taken at zero.
 
     Args:
-        model: gives the bounds.
+        law: the controller.
         velocity: ``(m,)``, in m/s.
         bandwidth: α, in rad/s.
-        slope: λ, ``(m,)``.
-        disturbance_bound: D, ``(m,)``.
-        reaching_rate: η.
-        initial_boundary_layer: Φ(t0), ``(m,)``.
+        layer: Φ(t0), ``(m,)``.
         input_limit: u_m.
         delay: from when an obstacle comes within range until the reference
             brakes as hard as it may, in s.
@@ -75,32 +69,27 @@ def range_needed(
     Returns:
         R in m; infinite if the feedback leaves nothing to brake with.
     """
-    n, m = model.order, model.num_outputs
+    n, m = law.order, law.num_outputs
     state = np.zeros((2 * _STEPS + 1, n, m))
     if n > 1:
         state[:, 1] = velocity
-    span = 10 * n / min(bandwidth, float(slope.min()))
+    span = 10 * n / min(bandwidth, float(law.slope.min()))
     tube = propagate(
-        model=model,
+        law,
         reference=state,
         bandwidth=np.full((2 * _STEPS + 1, m), bandwidth),
-        slope=slope,
-        disturbance_bound=disturbance_bound,
-        reaching_rate=reaching_rate,
-        initial_boundary_layer=initial_boundary_layer,
-        initial_error=np.zeros((n, m)),
+        start=TubeStart.of_error(np.zeros((n, m)), layer, law.slope),
         velocity_bound="comparison",
         step=span / _STEPS,
     )
     error_bound = tube.error_bound.max(axis=0)
-    feedback = input_bound(
-        model=model,
-        reference=state[0],
+    at_rest = Instant(
+        state=state[0],
         highest=np.zeros(m),
-        error_bound=error_bound,
         gain=bandwidth * tube.boundary_layer.max(axis=0),
-        slope=slope,
+        error_bound=error_bound,
     )
+    feedback = float(input_bound(law, at_rest))
     speed = float(np.linalg.norm(velocity))
-    stop = stopping_time(speed, input_limit - float(feedback), n)
+    stop = stopping_time(speed, input_limit - feedback, n)
     return speed * (delay + stop / 2) + 2 * float(np.linalg.norm(error_bound[0]))

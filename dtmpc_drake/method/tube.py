@@ -16,8 +16,7 @@ from typing import Literal
 import numpy as np
 
 from dtmpc_drake.method.layer import integrate_layer
-from dtmpc_drake.method.sliding import surface_coefficients
-from dtmpc_drake.models import Model
+from dtmpc_drake.method.sliding import SlidingLaw, surface_coefficients
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.filters import half_grid, integrate_filter
 
@@ -71,19 +70,38 @@ def cascade_bound(stages: Array, slope: Array, derivative: int) -> Array:
     return np.asarray(sum(terms))
 
 
-def initial_stages(initial_error: Array, slope: Array) -> Array:
-    """Y_j(t0) = |y_j(t0)| with y_j = (d/dt + λ)^j ỹ, shape ``(n, m)``."""
-    order = len(initial_error)
-    return np.stack(
-        [
-            np.abs(
-                (surface_coefficients(slope, j + 1) * initial_error[: j + 1]).sum(
-                    axis=0
-                )
-            )
-            for j in range(order)
+@dataclasses.dataclass(frozen=True, eq=False)
+class TubeStart:
+    """What a tube opens from.
+
+    Attributes:
+        stages: bounds of |y_j(t0)| with y_j = (d/dt + λ)^j ỹ for the first n - 1, and
+            Φ(t0) in the last row, ``(n, m)``.
+        highest: a bound of ``|ỹ^(n-1)(t0)|``, ``(m,)``.
+    """
+
+    stages: Array
+    highest: Array
+
+    @classmethod
+    def of_error(cls, error: Array, layer: Array, slope: Array) -> TubeStart:
+        """From an error that is known.
+
+        Args:
+            error: ỹ^(k)(t0), or bounds of their sizes, ``(n, m)``.
+            layer: Φ(t0), ``(m,)``.
+            slope: λ, ``(m,)``.
+        """
+        stages = [
+            np.abs((surface_coefficients(slope, j + 1) * error[: j + 1]).sum(axis=0))
+            for j in range(len(error) - 1)
         ]
-    )
+        return cls(np.stack([*stages, layer]), np.abs(error[-1]))
+
+    @property
+    def layer(self) -> Array:
+        """Φ(t0), ``(m,)``."""
+        return self.stages[-1]
 
 
 def stages_of_bounds(bounds: Array, slope: Array) -> Array:
@@ -103,12 +121,7 @@ def stages_of_bounds(bounds: Array, slope: Array) -> Array:
 
 
 def comparison_forcing(
-    *,
-    bandwidth: Array,
-    lower_bounds: Array,
-    model_error: Array,
-    slope: Array,
-    disturbance_bound: Array,
+    law: SlidingLaw, *, bandwidth: Array, lower_bounds: Array, model_error: Array
 ) -> Array:
     """What drives the velocity comparison system of W, the bound of ``|ỹ^(n-1)|``.
 
@@ -116,19 +129,18 @@ def comparison_forcing(
     with E = D + Δ̄ + (Δ̄ - Δ(x*)).
 
     Args:
+        law: gives λ and D.
         bandwidth: α, ``(..., m)``.
         lower_bounds: Ω = R_0 ... R_(n-2), the bounds of ``|ỹ^(k)|``,
             ``(..., n - 1, m)``, n >= 2.
         model_error: Δ̄ + (Δ̄ - Δ(x*)), ``(..., m)``.
-        slope: λ, ``(m,)``.
-        disturbance_bound: D, ``(m,)``.
 
     Returns:
         All but the first term, shape ``(..., m)``.
     """
     order = lower_bounds.shape[-2] + 1
-    c = surface_coefficients(slope, order)
-    forcing = disturbance_bound + model_error
+    c = surface_coefficients(law.slope, order)
+    forcing = law.disturbance_bound + model_error
     forcing = forcing + bandwidth * c[0] * lower_bounds[..., 0, :]
     for k in range(1, order - 1):
         forcing = forcing + (bandwidth * c[k] + c[k - 1]) * lower_bounds[..., k, :]
@@ -136,125 +148,101 @@ def comparison_forcing(
 
 
 def comparison_rate(
-    *,
-    model: Model,
-    reference: Array,
-    bandwidth: Array,
-    error_bound: Array,
-    slope: Array,
-    disturbance_bound: Array,
+    law: SlidingLaw, *, reference: Array, bandwidth: Array, error_bound: Array
 ) -> Array:
     """dW/dt of the velocity comparison system; see `comparison_forcing`.
 
     Args:
-        model: gives Δ and Δ̄.
+        law: gives λ, D, Δ and Δ̄.
         reference: x*, ``(..., n, m)``.
         bandwidth: α, ``(..., m)``.
         error_bound: R_k, the bounds of ``|ỹ^(k)|``, ``(..., n, m)``, n >= 2.
-        slope: λ, ``(m,)``.
-        disturbance_bound: D, ``(m,)``.
 
     Returns:
         Shape ``(..., m)``.
     """
-    largest = model.model_error_bound_over(reference, error_bound)
+    largest = law.model.model_error_bound_over(reference, error_bound)
     forcing = comparison_forcing(
+        law,
         bandwidth=bandwidth,
         lower_bounds=error_bound[..., :-1, :],
-        model_error=2 * largest - model.model_error_bound(reference),
-        slope=slope,
-        disturbance_bound=disturbance_bound,
+        model_error=2 * largest - law.model.model_error_bound(reference),
     )
-    decay = bandwidth + (model.order - 1) * slope
+    decay = bandwidth + (law.order - 1) * law.slope
     return np.asarray(forcing - decay * error_bound[..., -1, :])
 
 
 def propagate_cascade(
-    *,
-    boundary_layer: Array,
-    boundary_layer_rate: Array,
-    slope: Array,
-    initial_error: Array,
-    step: float,
+    *, layer: Array, layer_rate: Array, slope: Array, start: TubeStart, step: float
 ) -> tuple[Array, Array]:
     """The cascade ``dY_j/dt = -λ Y_j + Y_(j+1)``, ``Y_(n-1) = Φ`` (Theorem 1).
 
     Args:
-        boundary_layer: Φ at the nodes, ``(M + 1, m)``.
-        boundary_layer_rate: dΦ/dt at the nodes, ``(M + 1, m)``.
+        layer: Φ at the nodes, ``(M + 1, m)``.
+        layer_rate: dΦ/dt at the nodes, ``(M + 1, m)``.
         slope: λ, ``(m,)``.
-        initial_error: ỹ^(k)(t0), or bounds of them, ``(n, m)``.
+        start: what the tube opens from.
         step: between two nodes, in s.
 
     Returns:
         Y_0 ... Y_(n-1) and their time derivatives, both ``(M + 1, n, m)``.
     """
-    start = initial_stages(initial_error, slope)
-    stages, rates = [boundary_layer], [boundary_layer_rate]
-    for j in range(len(initial_error) - 2, -1, -1):
+    stages, rates = [layer], [layer_rate]
+    for j in range(len(start.stages) - 2, -1, -1):
         forcing = half_grid(stages[0], rates[0], step)
         decay = np.broadcast_to(slope, forcing.shape)
-        stage, rate = integrate_filter(decay, forcing, start[j], step)
+        stage, rate = integrate_filter(decay, forcing, start.stages[j], step)
         stages.insert(0, stage)
         rates.insert(0, rate)
     return np.stack(stages, axis=1), np.stack(rates, axis=1)
 
 
 def propagate_error_bounds(
+    law: SlidingLaw,
     *,
-    model: Model,
     reference: Array,
     bandwidth: Array,
-    boundary_layer: Array,
-    boundary_layer_rate: Array,
-    slope: Array,
-    disturbance_bound: Array,
-    initial_error: Array,
+    layer: Array,
+    layer_rate: Array,
+    start: TubeStart,
     velocity_bound: VelocityBound,
     step: float,
 ) -> Tube:
     """Bounds of every error derivative along a reference with a given layer.
 
     Args:
-        model: gives Δ and Δ̄.
+        law: gives λ, D, Δ and Δ̄.
         reference: x* on the half grid, ``(2 M + 1, n, m)``.
         bandwidth: α on the half grid, ``(2 M + 1, m)``.
-        boundary_layer: Φ at the nodes, ``(M + 1, m)``.
-        boundary_layer_rate: dΦ/dt at the nodes, ``(M + 1, m)``.
-        slope: λ, ``(m,)``.
-        disturbance_bound: D, ``(m,)``.
-        initial_error: ỹ^(k)(t0), or bounds of them, ``(n, m)``.
+        layer: Φ at the nodes, ``(M + 1, m)``.
+        layer_rate: dΦ/dt at the nodes, ``(M + 1, m)``.
+        start: what the tube opens from.
         velocity_bound: ``comparison``, or the ``paper``'s looser one.
         step: between two nodes, in s.
 
     Returns:
         The tube at the nodes.
     """
-    order = model.order
+    model, order, slope = law.model, law.order, law.slope
     Y, dY = propagate_cascade(
-        boundary_layer=boundary_layer,
-        boundary_layer_rate=boundary_layer_rate,
-        slope=slope,
-        initial_error=initial_error,
-        step=step,
+        layer=layer, layer_rate=layer_rate, slope=slope, start=start, step=step
     )
     bound = np.stack([cascade_bound(Y, slope, k) for k in range(order)], axis=1)
     bound_rate = np.stack([cascade_bound(dY, slope, k) for k in range(order)], axis=1)
     if order == 1 or velocity_bound == "paper":
-        return Tube(boundary_layer, boundary_layer_rate, bound, bound_rate, Y)
+        return Tube(layer, layer_rate, bound, bound_rate, Y)
 
     # Δ̄ looks at W itself.  From a valid bound follows a valid one, so both hold at
     # once and Δ̄ takes the smaller of W and the paper's; without that, a model error
     # that grows faster than W would let W run away.
     decay = bandwidth + (order - 1) * slope
     R = np.maximum(half_grid(bound, bound_rate, step), 0.0)
-    largest, start = R[:, -1].copy(), np.abs(initial_error[-1])
+    largest = R[:, -1].copy()
     forcing = comparison_forcing(
+        law,
         bandwidth=bandwidth,
         lower_bounds=R[:, :-1],
         model_error=-model.model_error_bound(reference),
-        slope=slope,
-        disturbance_bound=disturbance_bound,
     )
     W, gain = bound[:, -1].copy(), np.zeros_like(decay)
     earlier = None
@@ -269,69 +257,53 @@ def propagate_error_bounds(
             gain = np.minimum(gain, _GAIN * decay)
         earlier = R[:, -1].copy(), doubled
         W, dW = integrate_filter(
-            decay - gain, forcing + doubled - gain * R[:, -1], start, step
+            decay - gain, forcing + doubled - gain * R[:, -1], start.highest, step
         )
         if np.abs(W - last).max() < _SETTLED:
             break
         R[:, -1] = np.clip(half_grid(W, dW, step), 0.0, largest)
     bound[:, -1], bound_rate[:, -1] = W, dW
-    return Tube(boundary_layer, boundary_layer_rate, bound, bound_rate, Y)
+    return Tube(layer, layer_rate, bound, bound_rate, Y)
 
 
 def filter_rates(
-    *,
-    model: Model,
-    reference: Array,
-    bandwidth: Array,
-    states: Array,
-    slope: Array,
-    disturbance_bound: Array,
-    reaching_rate: float,
+    law: SlidingLaw, *, reference: Array, bandwidth: Array, states: Array
 ) -> Array:
     """The whole tube's differential equation, at one instant.
 
     Args:
-        model: gives Δ and Δ̄.
+        law: gives λ, D, η, Δ and Δ̄.
         reference: x*, ``(..., n, m)``.
         bandwidth: α, ``(..., m)``.
         states: Y_0, ..., Y_(n-1) = Φ and, if there is one more row, W;
             ``(..., n or n + 1, m)``.
-        slope: λ, ``(m,)``.
-        disturbance_bound: D, ``(m,)``.
-        reaching_rate: η.
 
     Returns:
         Their time derivatives, shaped as `states`.
     """
-    order = model.order
+    order, slope = law.order, law.slope
     stages, layer = states[..., :order, :], states[..., order - 1, :]
     cascade = stages[..., 1:, :] - slope * stages[..., :-1, :]
-    forcing = model.model_error_bound(reference) + disturbance_bound + reaching_rate
-    rates = [cascade, (forcing - bandwidth * layer)[..., None, :]]
+    own = law.forcing(reference) - bandwidth * layer
+    rates = [cascade, own[..., None, :]]
     if states.shape[-2] > order:
         bounds = [cascade_bound(stages, slope, k) for k in range(order - 1)]
         velocity = comparison_rate(
-            model=model,
+            law,
             reference=reference,
             bandwidth=bandwidth,
             error_bound=np.stack([*bounds, states[..., order, :]], axis=-2),
-            slope=slope,
-            disturbance_bound=disturbance_bound,
         )
         rates.append(velocity[..., None, :])
     return np.concatenate(rates, axis=-2)
 
 
 def propagate(
+    law: SlidingLaw,
     *,
-    model: Model,
     reference: Array,
     bandwidth: Array,
-    slope: Array,
-    disturbance_bound: Array,
-    reaching_rate: float,
-    initial_boundary_layer: Array,
-    initial_error: Array,
+    start: TubeStart,
     velocity_bound: VelocityBound,
     step: float,
 ) -> Tube:
@@ -340,33 +312,26 @@ def propagate(
     dΦ/dt = -α Φ + Δ(x*) + D + η  (eq. phidot), then the error bounds.
 
     Args:
-        model: gives Δ and Δ̄.
+        law: gives λ, D, η, Δ and Δ̄.
         reference: x* on the half grid, ``(2 M + 1, n, m)``.
         bandwidth: α on the half grid, ``(2 M + 1, m)``.
-        slope: λ, ``(m,)``.
-        disturbance_bound: D, ``(m,)``.
-        reaching_rate: η.
-        initial_boundary_layer: Φ(t0), ``(m,)``.
-        initial_error: ỹ^(k)(t0), or bounds of them, ``(n, m)``.
+        start: what the tube opens from.
         velocity_bound: ``comparison``, or the ``paper``'s looser one.
         step: between two nodes, in s.
 
     Returns:
         The tube at the nodes.
     """
-    forcing = model.model_error_bound(reference) + disturbance_bound + reaching_rate
     layer, layer_rate = integrate_layer(
-        bandwidth, forcing, initial_boundary_layer, step
+        bandwidth, law.forcing(reference), start.layer, step
     )
     return propagate_error_bounds(
-        model=model,
+        law,
         reference=reference,
         bandwidth=bandwidth,
-        boundary_layer=layer,
-        boundary_layer_rate=layer_rate,
-        slope=slope,
-        disturbance_bound=disturbance_bound,
-        initial_error=initial_error,
+        layer=layer,
+        layer_rate=layer_rate,
+        start=start,
         velocity_bound=velocity_bound,
         step=step,
     )

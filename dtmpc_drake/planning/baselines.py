@@ -25,13 +25,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
 
 import numpy as np
 
 from dtmpc_drake.method.layer import layer_pieces
-from dtmpc_drake.method.sliding import gain_crossover
-from dtmpc_drake.method.tube import propagate
+from dtmpc_drake.method.sliding import SlidingLaw, gain_crossover
+from dtmpc_drake.method.tube import TubeStart, propagate
 from dtmpc_drake.models import ConstantUncertainty
 from dtmpc_drake.planning.planner import plan_problem
 from dtmpc_drake.planning.problem import Problem
@@ -312,18 +311,24 @@ def without_tube(problem: Problem) -> Problem:
     The bandwidth then has nothing to do; it is fixed at its floor and costs
     nothing.
     """
-    floor = np.full_like(problem.bandwidth_min, problem.bandwidth_floor)
+    floor, law = (
+        np.full_like(problem.bandwidth_min, problem.bandwidth_floor),
+        problem.law,
+    )
+    nothing = np.zeros_like(law.slope)
     return dataclasses.replace(
         problem,
-        model=ConstantUncertainty(
-            problem.model, np.zeros_like(problem.slope), covers=False
+        law=SlidingLaw(
+            model=ConstantUncertainty(law.model, nothing, covers=False),
+            slope=law.slope,
+            disturbance_bound=nothing,
+            reaching_rate=VANISHING,
         ),
         bandwidth_min=floor,
         bandwidth_max=floor,
-        disturbance_bound=np.zeros_like(problem.disturbance_bound),
-        reaching_rate=VANISHING,
-        initial_boundary_layer=np.full_like(problem.initial_boundary_layer, VANISHING),
-        initial_error=np.zeros_like(problem.initial_error),
+        tube_start=TubeStart.of_error(
+            np.zeros_like(problem.start), nothing + VANISHING, law.slope
+        ),
     )
 
 
@@ -336,22 +341,23 @@ def with_fixed_bandwidth(plan: Plan, problem: Problem) -> Plan:
     """
     count = len(plan.tube_times) - 1
     half = np.linspace(plan.start_time, plan.end_time, 2 * count + 1)
-    layer: dict[str, Any] = {
-        "model": problem.model,
-        "reference": plan.reference(half)[:, :-1],
-        "bandwidth": np.broadcast_to(
-            problem.bandwidth_max, (len(half), plan.num_outputs)
-        ),
-        "disturbance_bound": problem.disturbance_bound,
-        "reaching_rate": problem.reaching_rate,
-        "initial_boundary_layer": problem.initial_boundary_layer,
-        "step": (plan.end_time - plan.start_time) / count,
-    }
+    reference = plan.reference(half)[:, :-1]
+    bandwidth = np.broadcast_to(problem.bandwidth_max, (len(half), plan.num_outputs))
+    step = (plan.end_time - plan.start_time) / count
     tube = propagate(
-        slope=problem.slope,
-        initial_error=problem.initial_error,
+        problem.law,
+        reference=reference,
+        bandwidth=bandwidth,
+        start=problem.tube_start,
         velocity_bound=problem.velocity_bound,
-        **layer,
+        step=step,
+    )
+    layer = layer_pieces(
+        problem.law,
+        reference=reference,
+        bandwidth=bandwidth,
+        initial=problem.tube_start.layer,
+        step=step,
     )
     return dataclasses.replace(
         plan,
@@ -359,7 +365,7 @@ def with_fixed_bandwidth(plan: Plan, problem: Problem) -> Plan:
             problem.bandwidth_max, plan.bandwidth_knots.shape
         ).copy(),
         tube_times=half[::2],
-        layer_coefficients=layer_pieces(**layer),
+        layer_coefficients=layer,
         bound_samples=tube.error_bound,
         bound_rate_samples=tube.error_bound_rate,
     )

@@ -6,7 +6,8 @@ import dataclasses
 
 import numpy as np
 
-from dtmpc_drake.method.tube import VelocityBound
+from dtmpc_drake.method.sliding import SlidingLaw
+from dtmpc_drake.method.tube import TubeStart, VelocityBound
 from dtmpc_drake.models import Model
 from dtmpc_drake.numerics.arrays import Array, BoolArray
 from dtmpc_drake.obstacles import ObstacleSet
@@ -18,11 +19,8 @@ class Problem:
     """One dynamic tube MPC problem (the paper's Problem 2), for any model.
 
     Attributes:
-        model: F̂, B, Δ and their bounds.
+        law: the controller and its model.
         obstacles: to stay clear of.
-        slope: λ, ``(m,)``.
-        disturbance_bound: D, ``(m,)``.
-        reaching_rate: η.
         bandwidth_min, bandwidth_max: bounds of α, ``(m,)``; equal if fixed.
         bandwidth_rate_max: bound of abs(dα/dt).
         input_limit: u_m.
@@ -31,19 +29,15 @@ class Problem:
         bandwidth_floor: α̲ in the cost's α̃ = α - α̲.
         start_time, duration: in s.
         start, goal: x* at both ends, ``(n, m)``; a row of NaN in the goal is free.
-        initial_error: x̃(t0), or bounds of its size, ``(n, m)``.
-        initial_boundary_layer: Φ(t0), ``(m,)``.
+        tube_start: what the tube opens from.
         tube_margin: ``norm`` or ``support``.
         velocity_bound: ``comparison`` or ``paper``.
         start_highest: y*^(n)(t0), if it must be continuous.
         start_bandwidth: α(t0), if it must be continuous.
     """
 
-    model: Model
+    law: SlidingLaw
     obstacles: ObstacleSet
-    slope: Array
-    disturbance_bound: Array
-    reaching_rate: float
     bandwidth_min: Array
     bandwidth_max: Array
     bandwidth_rate_max: float
@@ -56,8 +50,7 @@ class Problem:
     duration: float
     start: Array
     goal: Array
-    initial_error: Array
-    initial_boundary_layer: Array
+    tube_start: TubeStart
     tube_margin: str
     velocity_bound: VelocityBound
     start_highest: Array | None = None
@@ -76,21 +69,18 @@ class Problem:
         """
         if known is None:
             known = scenario.known_at_start()
-        model = scenario.planning_model()
+        law = scenario.sliding_law()
         bandwidth = scenario.controller.bandwidth
         low, high = bandwidth.min, bandwidth.max
         if bandwidth.fixed is not None:
             low = high = bandwidth.fixed
-        m = model.num_outputs
+        m = law.num_outputs
         velocity_bound: VelocityBound = (
             "paper" if scenario.planner.velocity_bound == "paper" else "comparison"
         )
         return cls(
-            model=model,
+            law=law,
             obstacles=scenario.obstacle_set().subset(known),
-            slope=scenario.slope(),
-            disturbance_bound=scenario.disturbance_bound(),
-            reaching_rate=scenario.controller.reaching_rate,
             bandwidth_min=np.full(m, low),
             bandwidth_max=np.full(m, high),
             bandwidth_rate_max=bandwidth.rate_max,
@@ -103,11 +93,19 @@ class Problem:
             duration=scenario.duration,
             start=scenario.start_state(),
             goal=scenario.goal_state(),
-            initial_error=np.abs(scenario.initial_error_state()),
-            initial_boundary_layer=scenario.initial_boundary_layer(),
+            tube_start=TubeStart.of_error(
+                np.abs(scenario.initial_error_state()),
+                scenario.initial_boundary_layer(),
+                law.slope,
+            ),
             tube_margin=scenario.planner.tube_margin,
             velocity_bound=velocity_bound,
         )
+
+    @property
+    def model(self) -> Model:
+        """F̂, B, Δ and their bounds, as the controller knows them."""
+        return self.law.model
 
     @property
     def bandwidth_is_fixed(self) -> bool:

@@ -6,17 +6,11 @@ import dataclasses
 
 import numpy as np
 
-from dtmpc_drake.method.sliding import (
-    bandwidth,
-    sliding_variable,
-    surface_coefficients,
-    switching_gain,
-)
 from dtmpc_drake.method.stopping import stopping_time
-from dtmpc_drake.method.tightening import input_bound
+from dtmpc_drake.method.tightening import Instant, input_bound
 from dtmpc_drake.method.tube import (
     Tube,
-    initial_stages,
+    TubeStart,
     propagate_error_bounds,
     stages_of_bounds,
 )
@@ -72,9 +66,9 @@ class Slowed:
         )
 
 
-def carried_error(
+def carried_start(
     plan: Plan, problem: Problem, *, measured_at: float, state: Array, until: float
-) -> Array:
+) -> TubeStart:
     """What a plan's error may have become since it was measured.
 
     The tube that opens at the measurement is propagated along the plan.  It is
@@ -88,54 +82,41 @@ def carried_error(
         until: in s, at least `measured_at`.
 
     Returns:
-        ``(n, m)``, as `Problem.initial_error`: the tube that starts from it has
-        these bounds.  For n > 2 only its first and last row bound the error's
-        derivatives themselves; those between make the cascade's stages right.
+        What a new plan's tube opens from then.
     """
-    n = problem.model.order
+    law, n = problem.law, problem.law.order
     error = state - plan.reference(measured_at)[:n]
-    bounds, stages = np.abs(error), initial_stages(error, problem.slope)
+    start = TubeStart.of_error(error, plan.boundary_layer(measured_at), law.slope)
+    stages, highest = start.stages, start.highest
     if until > measured_at:
         steps = max(2, int(np.ceil((until - measured_at) / CARRY_STEP)))
         times = np.linspace(measured_at, until, 2 * steps + 1)
-        tube = _tube_along(plan, problem, times, error)
-        bounds, stages = tube.error_bound[-1], tube.stages[-1]
+        tube = _tube_along(plan, problem, times, start)
+        stages, highest = tube.stages[-1], tube.error_bound[-1, -1]
     own = plan.error_bound(until)
-    stages = np.minimum(stages, stages_of_bounds(own, problem.slope))
-    carried = np.minimum(bounds, own)
-    # An error whose stages are these: y_j = Σ_k c_k ỹ^(k) solved for its last term.
-    for k in range(1, n - 1):
-        c = surface_coefficients(problem.slope, k + 1)
-        carried[k] = stages[k] - (c[:k] * carried[:k]).sum(axis=0)
-    return carried
+    stages = np.minimum(stages, stages_of_bounds(own, law.slope))
+    stages[-1] = plan.boundary_layer(until)
+    return TubeStart(stages, np.minimum(highest, own[-1]))
 
 
-def _tube_along(plan: Plan, problem: Problem, time: Array, error: Array) -> Tube:
-    """The tube along a part of a plan that opens from an error there.
+def _tube_along(plan: Plan, problem: Problem, time: Array, start: TubeStart) -> Tube:
+    """The tube along a part of a plan.
 
     Args:
         plan: whose layer is used.
         problem: gives the model and the controller.
         time: a half grid, ``(2 M + 1,)``, uniform, in s.
-        error: x̃ at the first of these times, ``(n, m)``.
+        start: what it opens from at the first of these times.
     """
     reference = plan.reference(time)[:, : problem.model.order]
     layer, layer_rate = plan.layer(time)
-    gain = switching_gain(
-        model_error_bound=problem.model.model_error_bound(reference),
-        disturbance_bound=problem.disturbance_bound,
-        reaching_rate=problem.reaching_rate,
-        boundary_layer_rate=layer_rate,
-    )
     return propagate_error_bounds(
-        model=problem.model,
+        problem.law,
         reference=reference,
-        bandwidth=bandwidth(gain=gain, boundary_layer=layer),
-        boundary_layer=layer[::2],
-        boundary_layer_rate=layer_rate[::2],
-        slope=problem.slope,
-        disturbance_bound=problem.disturbance_bound,
-        initial_error=error,
+        bandwidth=problem.law.implied_bandwidth(reference, layer, layer_rate),
+        layer=layer[::2],
+        layer_rate=layer_rate[::2],
+        start=start,
         velocity_bound=problem.velocity_bound,
         step=float(time[2] - time[0]),
     )
@@ -165,8 +146,7 @@ def problem_on_the_way(
         start=reference[:n],
         start_highest=reference[n],
         start_bandwidth=plan.bandwidth(start),
-        initial_boundary_layer=plan.boundary_layer(start),
-        initial_error=carried_error(
+        tube_start=carried_start(
             plan, problem, measured_at=measured_at, state=state, until=start
         ),
     )
@@ -232,7 +212,7 @@ def replan(
 def _outside(plan: Plan, problem: Problem, *, measured_at: float, state: Array) -> str:
     """Where a measured state is outside of its layer; nothing if it is inside."""
     error = state - plan.reference(measured_at)[: problem.model.order]
-    s = sliding_variable(error, problem.slope)
+    s = problem.law.sliding_variable(error)
     share = np.abs(s) / plan.boundary_layer(measured_at)
     # What is not a number is nowhere.
     axis = int(np.argmax(np.where(np.isfinite(share), share, np.inf)))
@@ -343,15 +323,13 @@ class _Tries:
 
 def _stopping_times(problem: Problem, plan: Plan) -> list[float]:
     """How long a stop from the start of a problem may take, in s, shortest first."""
-    gain = problem.initial_boundary_layer * plan.bandwidth(problem.start_time)
-    feedback = input_bound(
-        model=problem.model,
-        reference=problem.start,
+    at_rest = Instant(
+        state=problem.start,
         highest=np.zeros_like(problem.start[0]),
+        gain=problem.tube_start.layer * plan.bandwidth(problem.start_time),
         error_bound=plan.error_bound(problem.start_time),
-        gain=gain,
-        slope=problem.slope,
     )
+    feedback = input_bound(problem.law, at_rest)
     n = problem.model.order
     reference = plan.reference(problem.start_time)
     speed = max(float(np.linalg.norm(reference[1])), 0.1)

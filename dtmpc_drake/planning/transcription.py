@@ -22,7 +22,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg
 
 from dtmpc_drake.method.layer import layer_pieces
-from dtmpc_drake.method.tightening import input_bound, rate_bound
+from dtmpc_drake.method.tightening import Instant, input_bound, rate_bound
 from dtmpc_drake.method.tube import Tube, cascade_bound, filter_rates, propagate
 from dtmpc_drake.models import ConstantUncertainty
 from dtmpc_drake.numerics import splines
@@ -80,6 +80,16 @@ class Local:
     layer: Array
     bandwidth: Array
     error_bound: Array
+
+    @property
+    def instant(self) -> Instant:
+        """What the pointwise mathematics asks for."""
+        return Instant(
+            state=self.state,
+            highest=self.highest,
+            gain=self.bandwidth * self.layer,
+            error_bound=self.error_bound,
+        )
 
     def pack(self) -> Array:
         """One flat vector an instant, ``(..., (2 n + 3) m)``."""
@@ -230,7 +240,7 @@ class Transcription:
         # costs as much as several explicit ones.
         high = problem.bandwidth_max
         slow = _power_of_two(self.step * high)
-        finest = _power_of_two(self.step * (high + self.order * problem.slope))
+        finest = _power_of_two(self.step * (high + self.order * problem.law.slope))
         self.is_stiff = finest > STIFF * slow
         self.substeps = slow if self.is_stiff else finest
         least, most = TUBE_STEPS
@@ -375,34 +385,21 @@ class Transcription:
         reference = np.concatenate([half, last[None]])
         alpha = self._on_half_grid(bandwidth)
         tube = propagate(
-            model=p.model,
+            p.law,
             reference=reference[:, :n],
             bandwidth=alpha,
-            slope=p.slope,
-            disturbance_bound=p.disturbance_bound,
-            reaching_rate=p.reaching_rate,
-            initial_boundary_layer=p.initial_boundary_layer,
-            initial_error=p.initial_error,
+            start=p.tube_start,
             velocity_bound=p.velocity_bound,
             step=self.step / self.tube_steps,
         )
         nodes = reference[::2]
-        gain = alpha[::2] * tube.boundary_layer
-        used_input = input_bound(
-            model=p.model,
-            reference=nodes[:, :n],
+        at_nodes = Instant(
+            state=nodes[:, :n],
             highest=nodes[:, n],
+            gain=alpha[::2] * tube.boundary_layer,
             error_bound=tube.error_bound,
-            gain=gain,
-            slope=p.slope,
         )
-        used_rate = rate_bound(
-            model=p.model,
-            reference=nodes[:, :n],
-            error_bound=tube.error_bound,
-            gain=gain,
-            disturbance_bound=p.disturbance_bound,
-        )
+        used_rate = rate_bound(p.law, at_nodes)
         at_knots = slice(None, None, self.tube_steps)
         local = self._local(reference, tube, bandwidth, at_knots)
         rate_chord = self._chord(used_rate[at_knots], n)
@@ -426,7 +423,8 @@ class Transcription:
             tube_controls=tube_controls,
             planes=self._halfplanes(controls, tube_controls, hint),
             speed_margin=speed_margin,
-            input_margin=p.input_limit * (1 - INPUT_HAIR) - used_input,
+            input_margin=p.input_limit * (1 - INPUT_HAIR)
+            - input_bound(p.law, at_nodes),
             error_margin=self.error_margin(nodes[:, :n], tube.error_bound),
             cost=self._cost(local, bandwidth),
         )
@@ -530,24 +528,11 @@ class Transcription:
 
     def used_input(self, local: Local) -> Array:
         """The bound of the input's norm, ``(...)``."""
-        return input_bound(
-            model=self.problem.model,
-            reference=local.state,
-            highest=local.highest,
-            error_bound=local.error_bound,
-            gain=local.bandwidth * local.layer,
-            slope=self.problem.slope,
-        )
+        return input_bound(self.problem.law, local.instant)
 
     def used_rate(self, local: Local) -> Array:
         """The bound of the velocity error, ``(..., m)``."""
-        return rate_bound(
-            model=self.problem.model,
-            reference=local.state,
-            error_bound=local.error_bound,
-            gain=local.bandwidth * local.layer,
-            disturbance_bound=self.problem.disturbance_bound,
-        )
+        return rate_bound(self.problem.law, local.instant)
 
     def error_margin(self, state: Array, error_bound: Array) -> Array:
         """How far a constant that stands for Δ lies above the true one.
@@ -563,15 +548,8 @@ class Transcription:
 
     def tube_rates(self, reference: Array, bandwidth: Array, states: Array) -> Array:
         """The tube's differential equation; shapes as `tube.filter_rates`."""
-        p = self.problem
         return filter_rates(
-            model=p.model,
-            reference=reference,
-            bandwidth=bandwidth,
-            states=states,
-            slope=p.slope,
-            disturbance_bound=p.disturbance_bound,
-            reaching_rate=p.reaching_rate,
+            self.problem.law, reference=reference, bandwidth=bandwidth, states=states
         )
 
     def tube_states(self, iterate: Iterate, stride: int | None = None) -> Array:
@@ -592,7 +570,7 @@ class Transcription:
         n, m = self.order, self.outputs
         S = n + self.has_velocity_state
         unit = np.eye(S * m).reshape(S * m, S, m)
-        slope = self.problem.slope
+        slope = self.problem.law.slope
         bounds = [cascade_bound(unit[:, :n], slope, k).T for k in range(n)]
         if self.has_velocity_state:
             bounds[-1] = unit[:, n].T
@@ -681,12 +659,10 @@ class Transcription:
             bandwidth_knots=iterate.bandwidth,
             tube_times=p.start_time + p.duration * np.arange(count + 1) / count,
             layer_coefficients=layer_pieces(
-                model=p.model,
+                p.law,
                 reference=iterate.reference[:, : self.order],
                 bandwidth=self._on_half_grid(iterate.bandwidth),
-                disturbance_bound=p.disturbance_bound,
-                reaching_rate=p.reaching_rate,
-                initial_boundary_layer=p.initial_boundary_layer,
+                initial=p.tube_start.layer,
                 step=self.step / self.tube_steps,
             ),
             bound_samples=tube.error_bound,

@@ -9,10 +9,10 @@ from typing import Any, Union
 import numpy as np
 from pydrake.common.yaml import yaml_dump_typed
 
-from dtmpc_drake.method.sliding import sliding_variable
+from dtmpc_drake.method.sliding import SlidingLaw, sliding_variable
 from dtmpc_drake.method.stability import ROOM, longest_stable_step
 from dtmpc_drake.method.stopping import range_needed
-from dtmpc_drake.method.tube import propagate
+from dtmpc_drake.method.tube import TubeStart, propagate
 from dtmpc_drake.models import (
     ConstantUncertainty,
     DragDoubleIntegrator,
@@ -453,13 +453,10 @@ class Scenario:
         bandwidth, n = self.controller.bandwidth, self.model.order
         interval = self.duration / self.planner.intervals
         return range_needed(
-            model=self.planning_model(),
+            self.sliding_law(),
             velocity=velocity,
             bandwidth=bandwidth.fixed or bandwidth.min,
-            slope=self.slope(),
-            disturbance_bound=self.disturbance_bound(),
-            reaching_rate=self.controller.reaching_rate,
-            initial_boundary_layer=self.initial_boundary_layer(),
+            layer=self.initial_boundary_layer(),
             input_limit=self.limits.input,
             delay=2 * (self.planning_delay() + self.sensing.period) + n * interval,
         )
@@ -467,6 +464,15 @@ class Scenario:
     def disturbance_bound(self) -> Array:
         """D, shape ``(m,)``."""
         return np.array(self.disturbance.bound, dtype=float)
+
+    def sliding_law(self) -> SlidingLaw:
+        """The controller, with the model that it knows."""
+        return SlidingLaw(
+            model=self.planning_model(),
+            slope=self.slope(),
+            disturbance_bound=self.disturbance_bound(),
+            reaching_rate=self.controller.reaching_rate,
+        )
 
     def slope(self) -> Array:
         """λ, shape ``(m,)``."""
@@ -762,15 +768,15 @@ class Scenario:
         rates = [*self.controller.slope, alpha]
         span = min(self.duration, 10 * n / min(rates))
         half = 2 * int(np.clip(span * max(rates), 200, 2000)) + 1
+        law = dataclasses.replace(self.sliding_law(), model=IntegratorChain(m, n, 0.0))
+        start = TubeStart.of_error(
+            self.initial_error_state(), self.initial_boundary_layer(), law.slope
+        )
         tube = propagate(
-            model=IntegratorChain(m, n, 0.0),
+            law,
             reference=np.zeros((half, n, m)),
             bandwidth=np.full((half, m), alpha),
-            slope=self.slope(),
-            disturbance_bound=self.disturbance_bound(),
-            reaching_rate=self.controller.reaching_rate,
-            initial_boundary_layer=self.initial_boundary_layer(),
-            initial_error=self.initial_error_state(),
+            start=start,
             velocity_bound="paper",
             step=2 * span / (half - 1),
         )

@@ -11,9 +11,8 @@ import numpy as np
 from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import EventStatus, LeafSystem
 
-from dtmpc_drake.method import tube
 from dtmpc_drake.method.layer import layer_pieces
-from dtmpc_drake.method.sliding import sliding_variable
+from dtmpc_drake.method.tube import TubeStart, propagate
 from dtmpc_drake.numerics.arrays import BoolArray
 from dtmpc_drake.planning import Problem, plan_problem, replan, shortest_duration
 from dtmpc_drake.planning.transcription import HAIR
@@ -36,32 +35,32 @@ def hold_plan(scenario: Scenario) -> Plan:
     velocity included, so the plant does stay inside it.  Nobody has checked
     that tube against obstacles or the input limit: it is not certified.
     """
-    model = scenario.planning_model()
-    n, m = model.order, model.num_outputs
+    n, m = scenario.model.order, scenario.model.num_outputs
     start = scenario.start_state()
     rest = np.zeros((n + 1, m))
     rest[0] = start[0]
     error = start + scenario.initial_error_state() - rest[:n]
-    slope, bandwidth = scenario.slope(), scenario.controller.bandwidth
+    law, bandwidth = scenario.sliding_law(), scenario.controller.bandwidth
     # A hair inside the limit, where plans may go on from it.
     highest = np.full(m, bandwidth.fixed or bandwidth.max * (1 - HAIR))
     layer = np.maximum(
-        scenario.initial_boundary_layer(), np.abs(sliding_variable(error, slope))
+        scenario.initial_boundary_layer(), np.abs(law.sliding_variable(error))
     )
-    fastest = float((highest + n * slope).max())
+    fastest = float((highest + n * law.slope).max())
     steps = max(_HOLD_STEPS, math.ceil(scenario.duration * fastest / _HOLD_STEP))
-    half_grid = 2 * steps + 1
-    shared: dict[str, Any] = {
-        "model": model,
-        "reference": np.broadcast_to(rest[:n], (half_grid, n, m)),
-        "bandwidth": np.broadcast_to(highest, (half_grid, m)),
-        "disturbance_bound": scenario.disturbance_bound(),
-        "reaching_rate": scenario.controller.reaching_rate,
-        "initial_boundary_layer": layer,
-        "step": scenario.duration / steps,
-    }
-    bounds = tube.propagate(
-        slope=slope, initial_error=error, velocity_bound="comparison", **shared
+    reference = np.broadcast_to(rest[:n], (2 * steps + 1, n, m))
+    alpha = np.broadcast_to(highest, (2 * steps + 1, m))
+    step = scenario.duration / steps
+    bounds = propagate(
+        law,
+        reference=reference,
+        bandwidth=alpha,
+        start=TubeStart.of_error(error, layer, law.slope),
+        velocity_bound="comparison",
+        step=step,
+    )
+    layers = layer_pieces(
+        law, reference=reference, bandwidth=alpha, initial=layer, step=step
     )
     coefficients = np.zeros((1, n + 2, m))
     coefficients[0, 0] = rest[0]
@@ -70,7 +69,7 @@ def hold_plan(scenario: Scenario) -> Plan:
         coefficients=coefficients,
         bandwidth_knots=np.stack([highest, highest]),
         tube_times=np.linspace(0.0, scenario.duration, steps + 1),
-        layer_coefficients=layer_pieces(**shared),
+        layer_coefficients=layers,
         bound_samples=bounds.error_bound,
         bound_rate_samples=bounds.error_bound_rate,
     )

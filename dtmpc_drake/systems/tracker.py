@@ -11,7 +11,6 @@ from pydrake.symbolic import Expression
 from pydrake.systems.framework import LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from dtmpc_drake.method import sliding
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.systems.plan_port import DeclarePlanInputPort, EvalPlan
 from dtmpc_drake.systems.side_by_side import unflattened
@@ -68,10 +67,8 @@ def _tracker_of(T: Any) -> Any:
             """
             LeafSystem_[T].__init__(self, converter=converter)
             self._scenario = scenario
-            self._model = scenario.planning_model()
-            self._slope = scenario.slope()
-            self._disturbance_bound = scenario.disturbance_bound()
-            n, m = self._model.order, self._model.num_outputs
+            self._law = scenario.sliding_law()
+            n, m = self._law.order, self._law.num_outputs
             self._trials = trials
             self._shape = (n, m) if trials is None else (trials, n, m)
             size = math.prod(self._shape)
@@ -103,15 +100,11 @@ def _tracker_of(T: Any) -> Any:
             plan, time = EvalPlan(self._plan, context), _plain(context.get_time())
             layer, layer_rate = plan.layer(time)
             state = self._state.Eval(context)
-            control = sliding.control(
-                model=self._model,
+            control = self._law.control(
                 state=unflattened(state, self._shape, trials=self._trials is not None),
                 reference=plan.reference(time),
-                boundary_layer=layer,
-                boundary_layer_rate=layer_rate,
-                slope=self._slope,
-                disturbance_bound=self._disturbance_bound,
-                reaching_rate=self._scenario.controller.reaching_rate,
+                layer=layer,
+                layer_rate=layer_rate,
             )
             output.SetFromVector(control.ravel())
 

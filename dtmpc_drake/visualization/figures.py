@@ -18,8 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import ConnectionPatch, Patch, PathPatch, Polygon, Rectangle
 from matplotlib.path import Path
 
-from dtmpc_drake.method.sliding import sliding_variable, switching_gain
-from dtmpc_drake.method.tightening import input_bound, rate_bound
+from dtmpc_drake.method.tightening import Instant, input_bound, rate_bound
 from dtmpc_drake.numerics.arrays import Array, FloatArray
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import Scenario
@@ -539,23 +538,17 @@ def plot_histories(
     if time is None and (state is not None or control is not None):
         raise ValueError("time: missing, but state or control is given")
     n, m = plan.order, plan.num_outputs
-    model, slope = scenario.planning_model(), scenario.slope()
+    law, model = scenario.sliding_law(), scenario.planning_model()
     now = plan.sample_times(drawn_period(plan, _PERIOD))
     reference, bound = plan.reference(now), plan.error_bound(now)
     layer, layer_rate = plan.layer(now)
-    gain = switching_gain(
-        model_error_bound=model.model_error_bound(reference[:, :n]),
-        disturbance_bound=scenario.disturbance_bound(),
-        reaching_rate=scenario.controller.reaching_rate,
-        boundary_layer_rate=layer_rate,
-    )
-    speed_bound = rate_bound(
-        model=model,
-        reference=reference[:, :n],
+    at = Instant(
+        state=reference[:, :n],
+        highest=reference[:, n],
+        gain=law.gain(reference[:, :n], layer_rate),
         error_bound=bound,
-        gain=gain,
-        disturbance_bound=scenario.disturbance_bound(),
     )
+    speed_bound = rate_bound(law, at)
     flown: Array | None = None
     if state is not None and time is not None:
         flown = np.reshape(state, (len(time), n, m))
@@ -588,7 +581,7 @@ def plot_histories(
             panel = panels["sliding", i]
             _band(panel, now, layer[:, i])
             if flown is not None:
-                s = sliding_variable(error, slope)
+                s = law.sliding_variable(error)
                 panel.plot(time, s[:, i], **_FLOWN)
         panel = panels["bandwidth", i]
         allowed = scenario.controller.bandwidth
@@ -617,14 +610,7 @@ def plot_histories(
 
     inverse = model.inverse_input_matrix(reference[:, :n])
     planned = (inverse * reference[:, n, None, :]).sum(axis=-1)
-    largest = input_bound(
-        model=model,
-        reference=reference[:, :n],
-        highest=reference[:, n],
-        error_bound=bound,
-        gain=gain,
-        slope=slope,
-    )
+    largest = input_bound(law, at)
     bottom.axhline(scenario.limits.input, **_LIMIT)
     bottom.plot(now, largest, **_TIGHTENED)
     bottom.plot(now, np.linalg.norm(planned, axis=1), **_PLANNED)

@@ -191,9 +191,9 @@ class Peer:
         phi, omega, w = (
             program.variable(name, (m, K), guess=guess.T, **_from(fixed, K))
             for name, guess, fixed in (
-                ("Phi", first.layer, p.initial_boundary_layer),
-                ("Omega", first.error_bound[:, 0], p.initial_error[0]),
-                ("W", first.error_bound[:, 1], p.initial_error[1]),
+                ("Phi", first.layer, p.tube_start.layer),
+                ("Omega", first.error_bound[:, 0], p.tube_start.stages[0]),
+                ("W", first.error_bound[:, 1], p.tube_start.highest),
             )
         )
         s = program.variable("s", (m, K), guess=speed.T + 1e-2)
@@ -201,7 +201,7 @@ class Peer:
         program.add(s + v, low=0.0)
 
         # The tube, by the trapezoid rule.
-        slope, D = _columns(p.slope, K), _columns(p.disturbance_bound, K)
+        slope, D = _columns(p.law.slope, K), _columns(p.law.disturbance_bound, K)
         largest = s + w
         error = model.drag_error_bound
         known = error * _rows(_norm(v)) * s
@@ -211,7 +211,7 @@ class Peer:
         def trapezoid(x: Any, rate: Any) -> None:
             program.equal(x[:, 1:] - x[:, :-1] - h / 2 * (rate[:, 1:] + rate[:, :-1]))
 
-        trapezoid(phi, -gain + known + D + p.reaching_rate)
+        trapezoid(phi, -gain + known + D + p.law.reaching_rate)
         trapezoid(omega, phi - slope * omega)
         trapezoid(
             w, -(alpha + slope) * w + alpha * slope * omega + D + 2 * worst - known

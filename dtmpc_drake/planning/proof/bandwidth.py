@@ -102,7 +102,7 @@ def _needed_model_error(
     count = len(rows)
     needed = np.zeros((count + 1, *rows.shape[1:]))
     needed[: count - 1] = rows[1:]
-    needed[0] -= problem.disturbance_bound + problem.reaching_rate
+    needed[0] -= problem.law.forcing_of(0.0)
     value, slope = bandwidth.derivatives.swapaxes(0, 1)
     needed[:count] += value * rows
     # Leibniz: (bΦ)^(k) = b Φ^(k) + k b' Φ^(k-1).

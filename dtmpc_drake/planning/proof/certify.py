@@ -11,7 +11,7 @@ import dataclasses
 
 import numpy as np
 
-from dtmpc_drake.method.tightening import input_bound, rate_bound
+from dtmpc_drake.method.tightening import Instant, input_bound, rate_bound
 from dtmpc_drake.models import ConstantUncertainty
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.planning.problem import Problem
@@ -94,35 +94,21 @@ def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Ma
     if len(problem.obstacles):
         margins["obstacles"] = _obstacle_margin(problem, corridor)
 
-    # κ - Δ(x*), which is also K(x) - Δ(x), is a polynomial.
-    layer_rate = enclosure.layer.derivatives[:, 1]
-    model_error = problem.model.model_error_bound(middle[:, :n])
-    switching = problem.disturbance_bound + problem.reaching_rate - layer_rate
-    gain, gain_radius = switching + model_error, enclosure.layer.radius(1)
-
-    speed = problem.speed_limit - corridor.reference.largest(1)
-    speed = speed - rate_bound(
-        model=problem.model,
-        reference=middle[:, :n],
-        error_bound=enclosure.error_bound,
-        gain=gain,
-        disturbance_bound=problem.disturbance_bound,
-        reference_radius=radius,
-        gain_radius=gain_radius,
-    )
-    margins["speed"] = smallest(time, speed, "m/s", "axis")
-    # The norm of y*^(n), which is linear, is largest at an end.
+    # κ - Δ(x*), which is also K(x) - Δ(x), is a polynomial; the norm of y*^(n), which
+    # is linear, is largest at an end.
     rise = corridor.reference.half * middle[:, n + 1]
-    used = input_bound(
-        model=problem.model,
-        reference=middle[:, :n],
+    instants = Instant(
+        state=middle[:, :n],
         highest=np.stack([middle[:, n] - rise, middle[:, n] + rise]),
+        gain=problem.law.gain(middle[:, :n], enclosure.layer.derivatives[:, 1]),
         error_bound=enclosure.error_bound,
-        gain=gain,
-        slope=problem.slope,
-        reference_radius=radius,
-        gain_radius=gain_radius,
+        state_radius=radius,
+        gain_radius=enclosure.layer.radius(1),
     )
+    speed = problem.speed_limit - corridor.reference.largest(1)
+    speed = speed - rate_bound(problem.law, instants)
+    margins["speed"] = smallest(time, speed, "m/s", "axis")
+    used = input_bound(problem.law, instants)
     room = (problem.input_limit - used.max(axis=0))[:, None]
     margins["input"] = smallest(time, room, f"m/s^{n}", "")
     margins |= bandwidth_margins(plan, problem, enclosure)

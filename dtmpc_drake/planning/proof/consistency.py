@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from dtmpc_drake.method.sliding import bandwidth, switching_gain
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.records.margin import Margin, smallest
@@ -76,16 +75,11 @@ def consistency_margins(plan: Plan, problem: Problem) -> dict[str, Margin]:
 
     first = plan.reference(time[0])
     layer, layer_rate = plan.layer(time[0])
-    gain = switching_gain(
-        model_error_bound=problem.model.model_error_bound(first[:n]),
-        disturbance_bound=problem.disturbance_bound,
-        reaching_rate=problem.reaching_rate,
-        boundary_layer_rate=layer_rate,
-    )
+    implied = problem.law.implied_bandwidth(first[:n], layer, layer_rate)
     asked = {
-        "Φ*": (layer, problem.initial_boundary_layer),
+        "Φ*": (layer, problem.tube_start.layer),
         f"y*^({n})": (first[n], problem.start_highest),
-        "α": (bandwidth(gain=gain, boundary_layer=layer), problem.start_bandwidth),
+        "α": (implied, problem.start_bandwidth),
     }
     left, names = [], []
     for name, (value, wish) in asked.items():

@@ -91,30 +91,30 @@ def enclose(
     Raises:
         ValueError: if the plan's grids are not uniform, one within the other.
     """
-    n = problem.model.order
+    n, slope = problem.law.order, problem.law.slope
     pieces = _Pieces.of(plan, longest)
     h, reference, hermite = pieces.step, pieces.reference(), pieces.hermite
     layer = pieces.layer()
 
     # The cascade.  Its rates are filtered too, so they are bounded in turn.
     stages, rates = propagate_cascade(
-        boundary_layer=layer.at_ends(),
-        boundary_layer_rate=layer.at_ends(1),
-        slope=problem.slope,
-        initial_error=problem.initial_error,
+        layer=layer.at_ends(),
+        layer_rate=layer.at_ends(1),
+        slope=slope,
+        start=problem.tube_start,
         step=h,
     )
     fastest, bends = layer.largest(1), [layer.largest(2)]
     for j in range(n - 2, -1, -1):
         above = fastest
         fastest = np.abs(rates[:-1, j]) + h * above
-        bends.insert(0, problem.slope * fastest + above)
+        bends.insert(0, slope * fastest + above)
     curvature = np.stack(bends, axis=1)
     proven = [
         _Arc(
-            cascade_bound(stages[:-1], problem.slope, k),
-            cascade_bound(stages[1:], problem.slope, k),
-            cascade_bound(curvature, problem.slope, k),
+            cascade_bound(stages[:-1], slope, k),
+            cascade_bound(stages[1:], slope, k),
+            cascade_bound(curvature, slope, k),
         )
         for k in range(n)
     ]
@@ -131,7 +131,7 @@ def enclose(
             reference=reference,
             layer=layer,
             lower_bounds=np.stack(
-                [cascade_bound(middles, problem.slope, k) for k in range(n - 1)], axis=1
+                [cascade_bound(middles, slope, k) for k in range(n - 1)], axis=1
             ),
             error_bound=np.stack(
                 [*bounds[:-1], np.minimum(bounds[-1], granted)], axis=1
@@ -262,15 +262,14 @@ def _velocity_tube(
     has beyond it, |Δ(x) - Δ_0|, is in E.  E is replaced by chords above it, and all
     else is smooth and integrated as it is.
     """
-    model, slope = problem.model, problem.slope
+    law, model, slope = problem.law, problem.model, problem.law.slope
     n, step = model.order, 2 * layer.half
     ends = np.stack([reference.at_ends(k) for k in range(n)], axis=1)
     nominal = _chords(model.model_error_bound(ends))
-    constant = problem.disturbance_bound + problem.reaching_rate
     thickness = _interleave(layer.at_ends(), layer.derivatives[:, 0])
     thickness = np.maximum(thickness, THINNEST)
     rate = _interleave(layer.at_ends(1), layer.derivatives[:, 1])
-    bandwidth = np.maximum(constant + nominal - rate, 0.0) / thickness
+    bandwidth = np.maximum(law.forcing_of(nominal) - rate, 0.0) / thickness
 
     radius = np.stack([reference.radius(k) for k in range(n)], axis=1)
     largest = model.model_error_bound_over(
@@ -281,22 +280,21 @@ def _velocity_tube(
 
     def forcing(bandwidth: Array, lower_bounds: Array, model_error: Array) -> Array:
         return comparison_forcing(
+            law,
             bandwidth=bandwidth,
             lower_bounds=lower_bounds,
             model_error=model_error,
-            slope=slope,
-            disturbance_bound=problem.disturbance_bound,
         )
 
     W, _ = integrate_filter(
         bandwidth + (n - 1) * slope,
         forcing(bandwidth, lower_bounds, 2 * largest - nominal),
-        np.abs(problem.initial_error[-1]),
+        problem.tube_start.highest,
         step,
     )
     # Within an interval: the worst constant coefficients there.
     change = layer.radius(1) + np.abs(nominal[2::2] - nominal[:-2:2]) / 2
-    gain = constant + nominal[1::2] - layer.derivatives[:, 1]
+    gain = law.forcing_of(nominal[1::2]) - layer.derivatives[:, 1]
     low = np.maximum(gain - change, 0.0) / (layer.derivatives[:, 0] + layer.radius(0))
     low = low + (n - 1) * slope
     thin = np.maximum(layer.derivatives[:, 0] - layer.radius(0), THINNEST)

@@ -165,7 +165,7 @@ class Variables:
         unit = np.eye(2 * S * m).reshape(2 * S * m, 2, S, m)
         value = unit[:, :, 0]
         if n > 1:
-            rate = unit[:, :, 1] - tr.problem.slope * value
+            rate = unit[:, :, 1] - tr.problem.law.slope * value
         else:  # Ω is Φ, whose rate is no linear function; a chord serves
             rate = ((value[:, 1] - value[:, 0]) / tr.step)[:, None].repeat(2, axis=1)
         points = hermite_controls(value.swapaxes(0, 1), rate.swapaxes(0, 1), tr.step)[0]

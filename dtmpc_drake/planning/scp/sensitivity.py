@@ -7,6 +7,8 @@ linearised filters of `tube.filter_rates`.
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from dtmpc_drake.method.tube import filter_rates
@@ -174,13 +176,10 @@ def _axis_by_axis(p: Problem, alpha: Array, states: Array) -> tuple[Array, Array
     nothing = IntegratorChain(num_outputs=m, order=n, error_bound=0.0)
     unit = np.concatenate([np.zeros((1, S, m)), np.eye(S)[..., None].repeat(m, 2)])
     rates = filter_rates(
-        model=nothing,
+        dataclasses.replace(p.law, model=nothing),
         reference=np.zeros((2, S + 1, n, m)),
         bandwidth=np.stack([np.zeros((S + 1, m)), np.ones((S + 1, m))]),
         states=np.stack([unit, unit]),
-        slope=p.slope,
-        disturbance_bound=p.disturbance_bound,
-        reaching_rate=p.reaching_rate,
     )
     # Without bandwidth and with one of 1 rad/s: (m, S rates, S states).
     still, moving = (rates[:, 1:] - rates[:, :1]).transpose(0, 3, 2, 1)

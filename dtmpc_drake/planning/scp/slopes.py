@@ -12,7 +12,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dtmpc_drake.method.sliding import surface_coefficients
 from dtmpc_drake.models import ConstantUncertainty, Model
 from dtmpc_drake.numerics.arrays import Array, euclidean_norm, magnitude
 from dtmpc_drake.planning.problem import Problem
@@ -170,7 +169,7 @@ def limit_slopes(problem: Problem, local: Local, secant: float) -> LimitSlopes:
     largest, by_largest = parts["largest"]
     own, by_own = parts["own"]
     limit, by_limit = parts["drift_bound"]
-    c = surface_coefficients(problem.slope, n)
+    c = problem.law.coefficients
     excess = local.bandwidth * local.layer - own + largest / 2
     size = magnitude(excess)
     sign = excess / size

@@ -165,9 +165,9 @@ class Section:
 
 def nominal_tube(problem: Problem) -> Array:
     """Ω at rest with the highest bandwidth and a model without error, ``(m,)``."""
-    forcing = problem.disturbance_bound + problem.reaching_rate
+    forcing = problem.law.forcing_of(0.0)
     layer = forcing / problem.bandwidth_max
-    return np.asarray(layer / problem.slope ** (problem.model.order - 1))
+    return np.asarray(layer / problem.law.slope ** (problem.law.order - 1))
 
 
 def sections(obstacles: ObstacleSet, frame: Frame, tube: Array) -> list[Section]:
