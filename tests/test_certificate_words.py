@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dtmpc_drake.method.margin import Margin
 from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
 from dtmpc_drake.planning import Problem, certify, plan_problem
-from dtmpc_drake.records.margin import Margin
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.records.result import PlanningResult
 from dtmpc_drake.scenario import Planner

@@ -36,6 +36,10 @@ class Instant:
     state_radius: Array | float = 0.0
     gain_radius: Array | float = 0.0
 
+    def derivative(self, k: int) -> Array:
+        """y*^(k), ``(..., m)``."""
+        return self.highest if k == self.state.shape[-2] else self.state[..., k, :]
+
     @property
     def box(self) -> Array:
         """How far x may be from `state`: the tube and the box, ``(..., n, m)``."""
@@ -84,6 +88,13 @@ def input_bound(law: SlidingLaw, at: Instant) -> Array:
         + (np.abs(inverse) + deviation) * feedback[..., None, :]
     )
     return euclidean_norm(nominal) + euclidean_norm(worst.sum(axis=-1))
+
+
+def deviation_bound(law: SlidingLaw, at: Instant, k: int) -> Array:
+    """A bound of ``|ỹ^(k)|``, ``(..., m)``, for k < n, or k = n = 1."""
+    if k == 1:
+        return rate_bound(law, at)
+    return np.asarray(at.error_bound[..., k, :])
 
 
 def rate_bound(law: SlidingLaw, at: Instant) -> Array:

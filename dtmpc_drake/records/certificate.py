@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from dtmpc_drake.records.margin import Margin, worst
+from dtmpc_drake.method.margin import Margin, worst
 
 SAMPLED = "the model's bounds over a box are sampled, not proven"
 OF_THE_ENDS = ("continuity", "time", "ends", "hand_over")

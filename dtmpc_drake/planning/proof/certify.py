@@ -11,6 +11,7 @@ import dataclasses
 
 import numpy as np
 
+from dtmpc_drake.method.margin import Margin, smallest, worst
 from dtmpc_drake.method.tightening import Instant, input_bound, rate_bound
 from dtmpc_drake.models import ConstantUncertainty
 from dtmpc_drake.numerics.arrays import Array
@@ -24,7 +25,6 @@ from dtmpc_drake.planning.proof.enclosure import (
     enclose,
 )
 from dtmpc_drake.records.certificate import OF_THE_ENDS, Certificate
-from dtmpc_drake.records.margin import Margin, smallest, worst
 from dtmpc_drake.records.plan import Plan
 
 INTERVALS = (16e-3, 4e-3, 2e-3, 1e-3, 5e-4)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from dtmpc_drake.method.margin import Margin, smallest
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.planning.problem import Problem
-from dtmpc_drake.records.margin import Margin, smallest
 from dtmpc_drake.records.plan import Plan
 
 END_TOLERANCE = 1e-6

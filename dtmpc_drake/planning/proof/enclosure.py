@@ -14,6 +14,7 @@ import dataclasses
 
 import numpy as np
 
+from dtmpc_drake.method.enclosure import THINNEST, Corridor, Enclosure
 from dtmpc_drake.method.tube import cascade_bound, comparison_forcing, propagate_cascade
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.filters import half_grid, integrate_filter
@@ -21,55 +22,9 @@ from dtmpc_drake.numerics.polynomials import Polynomial, hermite_powers
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.records.plan import Plan
 
-THINNEST = 1e-12
-"""Boundary layer that is divided by, in m/s; one so thin is no layer at all."""
 _MOST, _LONGEST = 2**19, 16e-3
 """About so many intervals are enough, unless they are longer than this, in s: a flight
 of half an hour is not enclosed on millions of them, which takes gigabytes."""
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Corridor:
-    """Where a plan may be on K equal intervals.
-
-    Attributes:
-        time: where intervals meet, ``(K + 1,)``, in s.
-        parts: intervals in each step of the plan's own tube, a power of two.
-        reference: y*.
-        position_tube: Ω where intervals meet, ``(K + 1, m)``.
-        position_bend: a bound of ``|d²Ω/dt²|``, ``(K, m)``.
-    """
-
-    time: Array
-    parts: int
-    reference: Polynomial
-    position_tube: Array
-    position_bend: Array
-
-    @property
-    def step(self) -> float:
-        """Length of an interval, in s."""
-        return 2 * self.reference.half
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Enclosure:
-    """Bounds along a plan on K equal intervals.
-
-    Attributes:
-        corridor: the intervals, y* and Ω.
-        reference_radius: how far x* leaves its value at the middle, ``(K, n, m)``.
-        layer: Φ*.
-        error_bound: bounds of ``|ỹ^(k)|`` all along, ``(K, n, m)``.
-        claim_excess: how far the plan's own bounds lie above those proven here,
-            at least, ``(K, n, m)``; negative where below.
-    """
-
-    corridor: Corridor
-    reference_radius: Array
-    layer: Polynomial
-    error_bound: Array
-    claim_excess: Array
 
 
 def enclose(
@@ -143,6 +98,7 @@ def enclose(
         for a, c in zip(proven, claimed, strict=True)
     ]
     return Enclosure(
+        law=problem.law,
         corridor=Corridor(
             time=pieces.times(),
             parts=pieces.parts,

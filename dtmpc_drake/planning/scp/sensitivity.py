@@ -15,8 +15,8 @@ from dtmpc_drake.method.tube import filter_rates
 from dtmpc_drake.models import IntegratorChain
 from dtmpc_drake.numerics import splines
 from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.numerics.differences import Differences, differences
 from dtmpc_drake.planning.problem import Problem
-from dtmpc_drake.planning.scp.slopes import Differences, differences
 from dtmpc_drake.planning.transcription import Iterate, Transcription
 
 SMOOTH = 1.0

@@ -1,0 +1,1 @@
+"""What a plan is charged for, one cost a file."""

@@ -1,0 +1,57 @@
+"""What a cost answers about itself."""
+
+from __future__ import annotations
+
+import abc
+
+import numpy as np
+
+from dtmpc_drake.method.sliding import SlidingLaw
+from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.numerics.differences import differences
+
+STEP = 1e-6
+"""Half-width of the differences along y*^(n)."""
+
+
+class Cost(abc.ABC):
+    """A running cost: a sum of squares of what the reference is at one instant."""
+
+    @abc.abstractmethod
+    def residuals(self, law: SlidingLaw, state: Array, highest: Array) -> Array:
+        """What is squared, added up, and integrated over time.
+
+        Args:
+            law: the controller, with its model.
+            state: x*, ``(..., n, m)``.
+            highest: y*^(n), ``(..., m)``.
+
+        Returns:
+            ``(..., r)``.
+        """
+
+    def slopes(
+        self, law: SlidingLaw, state: Array, highest: Array, secant: float
+    ) -> tuple[Array, Array]:
+        """First derivatives of the residuals, by differences.
+
+        Args:
+            law: the controller, with its model.
+            state: x*, ``(K, n, m)``.
+            highest: y*^(n), ``(K, m)``.
+            secant: half-width of the differences along the state.
+
+        Returns:
+            By the state, ``(K, r, n m)``, and by y*^(n), ``(K, r, m)``.
+        """
+
+        def of_state(x: Array, _: Array) -> Array:
+            return self.residuals(law, x, highest)
+
+        found = differences(of_state, state, np.zeros_like(state), secant)
+        moves = STEP * np.eye(highest.shape[1])[:, None]
+        ahead, behind = (
+            self.residuals(law, state, highest + sign * moves) for sign in (1.0, -1.0)
+        )
+        by_highest = np.moveaxis((ahead - behind) / (2 * STEP), 0, -1)
+        return found.slope[:, :, : state[0].size], np.asarray(by_highest)

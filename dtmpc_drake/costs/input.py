@@ -1,0 +1,50 @@
+"""The cost of the input, uᵀQu with Q a multiple of the identity."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from dtmpc_drake.costs.base import Cost
+from dtmpc_drake.method.sliding import SlidingLaw
+from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.numerics.differences import Parts
+
+
+@dataclasses.dataclass(frozen=True)
+class InputCost(Cost):
+    """``weight ‖u*‖²`` with u* = B⁻¹ (y*^(n) - F̂(x*)).
+
+    Attributes:
+        weight: Q, times the identity.
+    """
+
+    weight: float
+
+    def residuals(self, law: SlidingLaw, state: Array, highest: Array) -> Array:
+        """See base class."""
+        u = law.model.input_for(state, highest - law.model.drift(state))
+        return np.asarray(np.sqrt(self.weight) * u)
+
+    def slopes(
+        self, law: SlidingLaw, state: Array, highest: Array, secant: float
+    ) -> tuple[Array, Array]:
+        """See base class; only the model is differentiated by differences."""
+        model, size = law.model, state[0].size
+        parts = Parts(
+            {
+                "drift": lambda x, _: model.drift(x),
+                "inverse": lambda x, _: model.inverse_input_matrix(x),
+            },
+            state,
+            np.zeros_like(state),
+            secant,
+        )
+        drift, by_drift = parts["drift"]
+        inverse, by_inverse = parts["inverse"]
+        by_model = -inverse @ by_drift
+        if by_inverse.any():
+            by_model += np.einsum("kijl,kj->kil", by_inverse, highest - drift)
+        root = np.sqrt(self.weight)
+        return root * by_model[:, :, :size], root * inverse

@@ -1,0 +1,200 @@
+"""What a limit answers about itself.
+
+A limit is one class in one file.  Whoever has to do with limits (the evaluation of an
+iterate, both backends, the certificate, messages, figures) asks each in turn, and knows
+none of them.  There are two families beside the obstacles: what is a function of one
+instant (`SampledLimit`), and what is linear in a derivative of the reference
+(`LinearLimit`), which holds between knots, too, where it holds at control points.
+"""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+from typing import ClassVar
+
+import numpy as np
+
+from dtmpc_drake.method.enclosure import Enclosure
+from dtmpc_drake.method.margin import Margin, smallest
+from dtmpc_drake.method.sliding import SlidingLaw
+from dtmpc_drake.method.tightening import Instant, deviation_bound
+from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.numerics.differences import differences
+from dtmpc_drake.records.plan import Plan
+
+STEP = 1e-6
+"""Half-width of the differences along y*^(n) and along the gain."""
+
+
+class Limit(abc.ABC):
+    """Something that a plan must keep for all times, whatever pushes the vehicle."""
+
+    name: ClassVar[str]
+    """Of its margin in a certificate."""
+
+    @abc.abstractmethod
+    def margins(self, law: SlidingLaw, at: Instant) -> Array:
+        """What is left of the limit at an instant, anywhere in the tube.
+
+        Args:
+            law: the controller.
+            at: the instant, batched over leading axes.
+
+        Returns:
+            ``(..., q)``, in `unit`; negative where the limit may be broken.
+        """
+
+    @abc.abstractmethod
+    def proven(self, enclosure: Enclosure) -> Array:
+        """Lower bounds of the margins for all times of every interval, ``(K, q)``.
+
+        The proof may rest on the enclosure and on the pointwise mathematics alone.
+        """
+
+    @abc.abstractmethod
+    def unit(self, law: SlidingLaw) -> str:
+        """Of the margins, for messages."""
+
+    def where(self, column: int) -> str:
+        """What a column of the margins is about, such as ``axis 1``; perhaps nothing."""
+        return ""
+
+    @property
+    def title(self) -> str:
+        """What it is called in a sentence."""
+        return f"{self.name.replace('_', ' ')} limit"
+
+    def certify(self, plan: Plan, enclosure: Enclosure) -> dict[str, Margin]:
+        """Its margins of a certificate, by name."""
+        values = self.proven(enclosure)
+        places = [self.where(column) for column in range(values.shape[1])]
+        unit = self.unit(enclosure.law)
+        return {self.name: smallest(enclosure.time, values, unit, places)}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Slopes:
+    """First derivatives of R rows.
+
+    Attributes:
+        by_model: by x* and by R_0 ... R_(n-1), ``(R, 2 n m)``.
+        by_highest: by y*^(n), ``(R, m)``.
+        by_gain: by κ = αΦ, ``(R, m)``.
+    """
+
+    by_model: Array
+    by_highest: Array
+    by_gain: Array
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Facets:
+    """Where one slope of a convex function is not enough, and along what it is cut.
+
+    Attributes:
+        place: indices of instants, ``(c,)``.
+        direction: unit vectors, ``(c, m)``.
+    """
+
+    place: Array
+    direction: Array
+
+
+class SampledLimit(Limit):
+    """A limit on a function of one instant, looked at wherever it is nearly broken."""
+
+    scale: ClassVar[float] = 1.0
+    """So much violation weighs like one metre of an obstacle."""
+    between_knots: ClassVar[bool] = True
+    """Whether programs look at it between knots, and only where it is near; else they
+    do at all knots."""
+
+    @property
+    @abc.abstractmethod
+    def size(self) -> Array | float:
+        """What is limited is about so large: the limit itself, ``(q,)`` or a number."""
+
+    def slopes(
+        self, law: SlidingLaw, at: Instant, secant: float, facets: Facets
+    ) -> Slopes:
+        """Of the margins at K instants, row by row, and then of the facets' margins.
+
+        By differences, unless a limit knows better.
+
+        Args:
+            law: the controller.
+            at: K instants, batched over one axis.
+            secant: half-width of the differences along the state.
+            facets: from `facets`.
+        """
+
+        def of_box(state: Array, radius: Array) -> Array:
+            moved = dataclasses.replace(at, state=state, error_bound=radius)
+            return self.margins(law, moved)
+
+        def along(name: str) -> Array:
+            value = getattr(at, name)
+            moves = STEP * np.eye(value.shape[1])[:, None]
+            ahead, behind = (
+                self.margins(law, dataclasses.replace(at, **{name: value + sign * moves}))
+                for sign in (1.0, -1.0)
+            )
+            return np.asarray(np.moveaxis((ahead - behind) / (2 * STEP), 0, -1))
+
+        found = differences(of_box, at.state, at.error_bound, secant)
+        rows = found.slope.shape[0] * found.slope.shape[1]
+        return Slopes(
+            by_model=found.slope.reshape(rows, -1),
+            by_highest=along("highest").reshape(rows, -1),
+            by_gain=along("gain").reshape(rows, -1),
+        )
+
+    def facets(self, law: SlidingLaw, at: Instant) -> Facets:
+        """Where the margin, of one column, needs more slopes than one; nowhere."""
+        return Facets(np.zeros(0, dtype=int), np.zeros((0, at.highest.shape[-1])))
+
+    def facet_margins(
+        self, law: SlidingLaw, at: Instant, margins: Array, facets: Facets
+    ) -> Array:
+        """Margins with the facets in place of what they cut, ``(c,)``."""
+        return np.zeros(0)
+
+    def curvature(self, at: Instant) -> Array | None:
+        """The Hessian by y*^(n) of the convex part, ``(..., m, m)``, if it has one."""
+        return None
+
+
+class LinearLimit(Limit):
+    """Limits ``a'y^(k) <= b``, tightened by ``|a|'R_k`` for the tube."""
+
+    derivative: ClassVar[int]
+    """k, less than n, or k = n = 1."""
+
+    @abc.abstractmethod
+    def normals(self, num_outputs: int) -> Array:
+        """The rows a, ``(q, m)``."""
+
+    @property
+    @abc.abstractmethod
+    def bounds(self) -> Array | float:
+        """The bounds b, ``(q,)`` or a number."""
+
+    @property
+    @abc.abstractmethod
+    def size(self) -> float:
+        """What is limited is about so large: margins of this part are none to see to."""
+
+    def margins(self, law: SlidingLaw, at: Instant) -> Array:
+        """See base class."""
+        normals = self.normals(law.num_outputs)
+        used = deviation_bound(law, at, self.derivative) @ np.abs(normals).T
+        return np.asarray(self.bounds - at.derivative(self.derivative) @ normals.T - used)
+
+    def proven(self, enclosure: Enclosure) -> Array:
+        """See base class; Taylor's formula about the middle of each interval."""
+        k, reference = self.derivative, enclosure.reference
+        normals = self.normals(enclosure.law.num_outputs)
+        spread = reference.radius(k) + deviation_bound(enclosure.law, enclosure.instant, k)
+        middle = reference.derivatives[:, k] @ normals.T
+        return np.asarray(self.bounds - middle - spread @ np.abs(normals).T)

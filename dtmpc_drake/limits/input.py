@@ -1,0 +1,143 @@
+"""The limit of the input's norm (Theorem 2 and corollary 2)."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import ClassVar
+
+import numpy as np
+
+from dtmpc_drake.limits.base import Facets, SampledLimit, Slopes
+from dtmpc_drake.method.enclosure import Enclosure
+from dtmpc_drake.method.sliding import SlidingLaw
+from dtmpc_drake.method.tightening import Instant, input_bound
+from dtmpc_drake.numerics.arrays import Array, euclidean_norm, magnitude
+from dtmpc_drake.numerics.differences import Parts
+
+APEX = 0.05
+"""Below this part of the limit the norm of B⁻¹ y*^(n) is cut from all sides."""
+SMALLEST_HIGHEST = 0.05
+"""Norms of y*^(n) below this are taken for it: they bend without limit at zero."""
+
+
+@dataclasses.dataclass(frozen=True)
+class InputLimit(SampledLimit):
+    """``‖u‖ <= bound``.
+
+    Attributes:
+        bound: u_m, in the unit of the input.
+    """
+
+    bound: float
+
+    name: ClassVar[str] = "input"
+    scale: ClassVar[float] = 8.0
+
+    def unit(self, law: SlidingLaw) -> str:
+        """See base class."""
+        return f"m/s^{law.order}"
+
+    @property
+    def size(self) -> float:
+        """See base class."""
+        return self.bound
+
+    def margins(self, law: SlidingLaw, at: Instant) -> Array:
+        """See base class."""
+        return np.asarray(self.bound - input_bound(law, at))[..., None]
+
+    def proven(self, enclosure: Enclosure) -> Array:
+        """See base class; the norm of y*^(n), which is linear, is largest at an end."""
+        return np.asarray(self.margins(enclosure.law, enclosure.instant).min(axis=0))
+
+    def facets(self, law: SlidingLaw, at: Instant) -> Facets:
+        """Where the norm of B⁻¹ y*^(n) is near its apex.
+
+        A norm is the largest of u'v over all unit vectors u.  Its slope at v is one of
+        them; near zero v turns within a step, and more are needed.
+        """
+        nominal = law.model.input_for(at.state, at.highest)
+        small = np.flatnonzero(np.linalg.norm(nominal, axis=1) < APEX * self.bound)
+        m = law.num_outputs
+        directions = np.concatenate([np.eye(m), -np.eye(m)])
+        return Facets(small.repeat(2 * m), np.tile(directions, (len(small), 1)))
+
+    def facet_margins(
+        self, law: SlidingLaw, at: Instant, margins: Array, facets: Facets
+    ) -> Array:
+        """With u'v for the norm of v = B⁻¹ y*^(n)."""
+        nominal = law.model.input_for(at.state, at.highest)[facets.place]
+        along = (facets.direction * nominal).sum(axis=1)
+        return np.asarray(margins[facets.place, 0] + euclidean_norm(nominal) - along)
+
+    def slopes(
+        self, law: SlidingLaw, at: Instant, secant: float, facets: Facets
+    ) -> Slopes:
+        """See base class.
+
+        Only the model is differentiated by differences, once for all that is made of
+        it; the rest is written out.
+        """
+        model, n, m = law.model, law.order, law.num_outputs
+        parts = Parts(
+            {
+                "drift_bound": model.drift_bound,
+                "own": lambda x, _: model.model_error_bound(x),
+                "largest": model.model_error_bound_over,
+                "inverse": lambda x, _: model.inverse_input_matrix(x),
+                "deviation": model.inverse_input_deviation,
+            },
+            at.state,
+            at.error_bound,
+            secant,
+        )
+        # Theorem 2, as in `tightening.feedback_bound`.
+        largest, by_largest = parts["largest"]
+        own, by_own = parts["own"]
+        limit, by_limit = parts["drift_bound"]
+        c = law.coefficients
+        excess = at.gain - own + largest / 2
+        size = magnitude(excess)
+        sign = excess / size
+        feedback = limit + largest / 2 + size
+        feedback = feedback + (c[:-1] * at.error_bound[:, 1:]).sum(axis=1)
+        by_feedback = by_limit + by_largest / 2
+        by_feedback += sign[:, :, None] * (by_largest / 2 - by_own)
+        axes = np.arange(m)
+        for k in range(1, n):
+            by_feedback[:, axes, (n + k) * m + axes] += c[k - 1]
+
+        # Corollary 2, as in `tightening.input_bound`.
+        highest, away = at.highest, magnitude(at.highest)
+        inverse, by_inverse = parts["inverse"]
+        deviation, by_deviation = parts["deviation"]
+        reaction = np.abs(inverse) + deviation
+        nominal = (inverse * highest[:, None]).sum(axis=-1)
+        worst = (deviation * away[:, None] + reaction * feedback[:, None]).sum(axis=-1)
+        against = (worst / euclidean_norm(worst)[:, None])[:, None]
+        through = against @ reaction
+        by_model = through @ by_feedback
+        if by_inverse.any() or by_deviation.any():
+            changes = np.sign(inverse)[..., None] * by_inverse + by_deviation
+            by_model += np.einsum("kpi,kijl,kj->kpl", against, changes, feedback)
+            by_model += np.einsum("kpi,kijl,kj->kpl", against, by_deviation, away)
+        by_highest = against @ deviation * (highest / away)[:, None]
+        by_gain = through * sign[:, None]
+
+        # ‖B⁻¹ y*^(n)‖ along its own direction, and along the facets' ones.
+        each = np.concatenate([np.arange(len(nominal)), facets.place])
+        steepest = nominal / euclidean_norm(nominal)[:, None]
+        along = np.concatenate([steepest, facets.direction])[:, None]
+        by_nominal = np.einsum("kijl,kj->kil", by_inverse, highest)[each]
+        return Slopes(
+            by_model=-(by_model[each] + along @ by_nominal)[:, 0],
+            by_highest=-(by_highest[each] + along @ inverse[each])[:, 0],
+            by_gain=-by_gain[each, 0],
+        )
+
+    def curvature(self, at: Instant) -> Array:
+        """Of ‖y*^(n)‖, which stands for ‖B⁻¹ y*^(n)‖."""
+        size = np.maximum(np.linalg.norm(at.highest, axis=1), SMALLEST_HIGHEST)
+        unit = at.highest / size[:, None]
+        outer = unit[:, :, None] * unit[:, None, :]
+        return np.asarray((np.eye(unit.shape[1]) - outer) / size[:, None, None])

@@ -1,0 +1,96 @@
+"""What is known of a plan all along short intervals of time.
+
+It is made by `planning.proof`, which proves it; limits ask it for what is left of them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cached_property
+
+import numpy as np
+
+from dtmpc_drake.method.sliding import SlidingLaw
+from dtmpc_drake.method.tightening import Instant
+from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.numerics.polynomials import Polynomial
+
+
+THINNEST = 1e-12
+"""Boundary layer that is divided by, in m/s; one so thin is no layer at all."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Corridor:
+    """Where a plan may be on K equal intervals.
+
+    Attributes:
+        time: where intervals meet, ``(K + 1,)``, in s.
+        parts: intervals in each step of the plan's own tube, a power of two.
+        reference: y*.
+        position_tube: Ω where intervals meet, ``(K + 1, m)``.
+        position_bend: a bound of ``|d²Ω/dt²|``, ``(K, m)``.
+    """
+
+    time: Array
+    parts: int
+    reference: Polynomial
+    position_tube: Array
+    position_bend: Array
+
+    @property
+    def step(self) -> float:
+        """Length of an interval, in s."""
+        return 2 * self.reference.half
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Enclosure:
+    """Bounds along a plan on K equal intervals.
+
+    Attributes:
+        law: the controller that flies the plan.
+        corridor: the intervals, y* and Ω.
+        reference_radius: how far x* leaves its value at the middle, ``(K, n, m)``.
+        layer: Φ*.
+        error_bound: bounds of ``|ỹ^(k)|`` all along, ``(K, n, m)``.
+        claim_excess: how far the plan's own bounds lie above those proven here,
+            at least, ``(K, n, m)``; negative where below.
+    """
+
+    law: SlidingLaw
+    corridor: Corridor
+    reference_radius: Array
+    layer: Polynomial
+    error_bound: Array
+    claim_excess: Array
+
+    @property
+    def time(self) -> Array:
+        """Where intervals begin, ``(K,)``, in s."""
+        return self.corridor.time[:-1]
+
+    @property
+    def reference(self) -> Polynomial:
+        """y*."""
+        return self.corridor.reference
+
+    @cached_property
+    def instant(self) -> Instant:
+        """What is known all along each interval.
+
+        The reference has its value at the middle with a box around it, but y*^(n) has
+        its values at both ends, ``(2, K, m)``: it is linear, and a convex function of
+        it is largest at one of them.
+        """
+        n, middle = self.law.order, self.reference.derivatives
+        rise = self.reference.half * middle[:, n + 1]
+        return Instant(
+            state=middle[:, :n],
+            highest=np.stack([middle[:, n] - rise, middle[:, n] + rise]),
+            # κ - Δ(x*), which is also K(x) - Δ(x), is a polynomial.
+            gain=self.law.gain(middle[:, :n], self.layer.derivatives[:, 1]),
+            error_bound=self.error_bound,
+            state_radius=self.reference_radius,
+            gain_radius=self.layer.radius(1),
+        )
