@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dtmpc_drake.obstacles import Cylinder
+from dtmpc_drake.obstacles.normals import tangent_space
 from dtmpc_drake.planning import Problem, plan
 from dtmpc_drake.planning.scp.clarabel import borrowed
 from dtmpc_drake.planning.scp.curvature import (
@@ -24,7 +25,6 @@ from dtmpc_drake.planning.scp.linearise import (
     Shape,
     _needed,
     kinked_coordinates,
-    tangent_space,
 )
 from dtmpc_drake.planning.scp.sensitivity import transitions
 from dtmpc_drake.planning.transcription import Transcription
@@ -255,7 +255,8 @@ def test_a_steps_own_half_planes_are_kept_where_they_part_more():
     turned /= np.linalg.norm(turned, axis=1, keepdims=True)
     hint = dataclasses.replace(found, normal=turned)
     hinted = tr.evaluate(*decisions, hint=hint).planes
-    alone = tr.margins(tr.evaluate(*decisions), hint).margin.min(axis=1)
+    iterate = tr.evaluate(*decisions)
+    alone = hint.at(iterate.controls, iterate.tube_controls).margin.min(axis=1)
     best = np.maximum(found.margin.min(axis=1), alone)
     np.testing.assert_allclose(hinted.margin.min(axis=1), best, atol=1e-12)
     assert (alone > found.margin.min(axis=1) + 1e-6).any()

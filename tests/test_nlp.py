@@ -11,10 +11,10 @@ from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
 from dtmpc_drake.numerics.arrays import jacobian
 from dtmpc_drake.obstacles import Cylinder, ObstacleSet
+from dtmpc_drake.obstacles.normals import turned
 from dtmpc_drake.planning import plan, plan_problem
 from dtmpc_drake.planning.ipopt import solver as nlp
 from dtmpc_drake.planning.ipopt.rows import ROUNDING, rounded
-from dtmpc_drake.planning.scp.linearise import turned
 from dtmpc_drake.planning.transcription import Transcription
 from dtmpc_drake.scenario import Planner, load_scenario
 from tests.models_for_tests import every_model, make_problem, name_of

@@ -18,7 +18,6 @@ from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.stopping import range_needed, stopping_time
 from dtmpc_drake.models import IntegratorChain
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Sphere
-from dtmpc_drake.obstacles.field import visible
 from dtmpc_drake.scenario import (
     Planner,
     Scenario,
@@ -114,8 +113,7 @@ def test_an_ellipsoid_is_seen_no_later_than_from_its_true_distance() -> None:
     for position in generator.uniform(-6, 6, (200, 3)):
         along = position - surface
         distance = np.linalg.norm(along - np.outer(along @ free, free), axis=1).min()
-        seen = visible(
-            scenario.obstacle_set(),
+        seen = scenario.obstacle_set().visible(
             known_from=np.array([np.inf]),
             sensing_range=3.0,
             time=0.0,

@@ -7,6 +7,7 @@ import pytest
 
 from dtmpc_drake.models import DragDoubleIntegrator
 from dtmpc_drake.obstacles import Cylinder, Sphere
+from dtmpc_drake.obstacles.normals import separating_normals, tangent_space
 from dtmpc_drake.planning import Problem, certify, plan, plan_problem, planner
 from dtmpc_drake.planning.scp.clarabel import borrowed
 from dtmpc_drake.planning.scp.layout import Variables
@@ -14,10 +15,9 @@ from dtmpc_drake.planning.scp.linearise import (
     Program,
     Shape,
     kinked_coordinates,
-    tangent_space,
 )
 from dtmpc_drake.planning.scp.sensitivity import transitions
-from dtmpc_drake.planning.transcription import Transcription, separating_normals
+from dtmpc_drake.planning.transcription import Transcription
 from dtmpc_drake.scenario import Planner, Scenario, Waypoint, load_scenario
 from tests.models_for_tests import (
     PlanarOnSlope,

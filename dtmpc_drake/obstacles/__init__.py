@@ -1,6 +1,19 @@
-"""What must not be hit, one kind of obstacle a file, and the field of them all."""
+"""What must not be hit, one kind of obstacle a file, and the field of them all.
 
-from dtmpc_drake.obstacles.ellipsoids import Cylinder, Ellipsoid, Obstacle, Sphere
+An obstacle answers for itself: nobody outside of this package knows how it is
+described.  Nothing may enter here that plans, proves or draws.
+"""
+
+from dtmpc_drake.obstacles.base import Fault, Obstacle, obstacle_kind
+from dtmpc_drake.obstacles.ellipsoids import Cylinder, Ellipsoid, Sphere
 from dtmpc_drake.obstacles.field import ObstacleSet
 
-__all__ = ["Cylinder", "Ellipsoid", "Obstacle", "ObstacleSet", "Sphere"]
+__all__ = [
+    "Cylinder",
+    "Ellipsoid",
+    "Fault",
+    "Obstacle",
+    "ObstacleSet",
+    "Sphere",
+    "obstacle_kind",
+]

@@ -1,19 +1,40 @@
-"""All obstacles of a field, stacked: every distance is one batched expression."""
+"""All obstacles of a field, stacked: every distance is one batched expression.
+
+Obstacles whose core is a point are arrays alone.  The other cores are asked kind by
+kind, and only where there are some.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from dtmpc_drake.numerics.arrays import Array, BoolArray, FloatArray
-from dtmpc_drake.obstacles.ellipsoids import Cylinder, Obstacle
+from dtmpc_drake.obstacles.base import KINDS, Cores, Indices, Obstacle
+from dtmpc_drake.obstacles.normals import nearest_of_box
 
-_SWEEPS = 20
-"""At most, of the search for the nearest point of a tube."""
+_SWEEPS = 50
+"""At most, of projecting a core and a tube's box onto each other by turns."""
+_HALVINGS = 40
+"""Of how far a tube that cuts a core is pushed out of it."""
+_APART = 1e-5
+"""Gaps that are smaller, in parts of the core's width, give no direction."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Group:
+    """Obstacles of one kind whose cores are more than a point.
+
+    Attributes:
+        cores: of all of them that a scenario has.
+        rows: of the matrices through which they see.
+    """
+
+    cores: Cores
+    rows: int
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -25,48 +46,70 @@ class ObstacleSet:
         center: p_c in the image of H, ``(num_obstacles, rows)``.
         radius: r_o, ``(num_obstacles,)``.
         index: of each in the scenario, ``(num_obstacles,)``.
+        groups: of those whose cores are more than the point p_c.
+        group: which of these each belongs to, ``(num_obstacles,)``; -1 for none.
+        member: which of its group it is, ``(num_obstacles,)``.
     """
 
     shape: FloatArray
     center: FloatArray
     radius: FloatArray
-    index: npt.NDArray[np.intp]
+    index: Indices
+    groups: tuple[Group, ...]
+    group: Indices
+    member: Indices
 
     @classmethod
     def stack(cls, obstacles: Sequence[Obstacle], num_outputs: int) -> ObstacleSet:
         """Stacks the obstacles of a scenario with `num_outputs` outputs.
 
         Raises:
-            TypeError: if one is of no class that is known here, a subclass included.
+            TypeError: if one is of no kind that is known here, a subclass included.
         """
         for o in obstacles:
-            if type(o) not in get_args(Obstacle):
-                known = ", ".join(kind.__name__ for kind in get_args(Obstacle))
+            if type(o) not in KINDS:
+                known = ", ".join(kind.__name__ for kind in KINDS)
                 raise TypeError(f"{type(o).__name__} is no obstacle; there are {known}")
         matrices = [o.shape_matrix(num_outputs) for o in obstacles]
-        rows = max((len(H) for H in matrices), default=1)
-        shape = np.zeros((len(obstacles), rows, num_outputs))
-        center = np.zeros((len(obstacles), rows))
+        count, rows = len(obstacles), max((len(H) for H in matrices), default=1)
+        shape = np.zeros((count, rows, num_outputs))
+        center = np.zeros((count, rows))
+        alike: dict[tuple[type[Obstacle], int], list[int]] = {}
         for i, (H, o) in enumerate(zip(matrices, obstacles, strict=True)):
             shape[i, : len(H)] = H
-            c = np.asarray(o.center, dtype=float)
-            # A cylinder's centre is already in the image of H.
-            center[i, : len(H)] = c if isinstance(o, Cylinder) else H @ c
-        radius = np.array([o.radius for o in obstacles], dtype=float)
-        return cls(shape, center, radius, np.arange(len(obstacles)))
+            center[i, : len(H)] = o.middle(num_outputs)
+            alike.setdefault((type(o), len(H)), []).append(i)
+        groups: list[Group] = []
+        group, member = np.full(count, -1), np.zeros(count, dtype=int)
+        for (kind, own), these in alike.items():
+            cores = kind.cores([obstacles[i] for i in these])
+            if cores is not None:
+                group[these], member[these] = len(groups), np.arange(len(these))
+                groups.append(Group(cores, own))
+        radius = np.array([o.swept_radius() for o in obstacles], dtype=float)
+        index = np.arange(count)
+        return cls(shape, center, radius, index, tuple(groups), group, member)
 
     def subset(self, chosen: npt.NDArray[np.bool_]) -> ObstacleSet:
         """Those obstacles for which `chosen`, ``(num_obstacles,)``, is true."""
-        return ObstacleSet(
+        return dataclasses.replace(
+            self,
             shape=self.shape[chosen],
             center=self.center[chosen],
             radius=self.radius[chosen],
             index=self.index[chosen],
+            group=self.group[chosen],
+            member=self.member[chosen],
         )
 
     def __len__(self) -> int:
         """The number of obstacles."""
         return len(self.radius)
+
+    @property
+    def tangents(self) -> int:
+        """In how many directions a half-plane's normal may turn, at most."""
+        return self.shape.shape[1] - 1
 
     def offsets(self, position: FloatArray) -> FloatArray:
         """``H r - p_c`` for every obstacle.
@@ -87,37 +130,6 @@ class ObstacleSet:
             np.einsum("oij,...j->...oi", np.abs(self.shape), position_tube)
         )
 
-    def nearest_offset(
-        self, offset: FloatArray, position_tube: FloatArray
-    ) -> FloatArray:
-        """The offset that is nearest to each centre, anywhere in the tube.
-
-        Minimises ``‖offset + H r̃‖`` over ``|r̃| <= Ω``, one coordinate of r̃ after
-        the other.  One sweep is exact where H has orthogonal columns.
-
-        Args:
-            offset: as from `offsets`, ``(..., num_obstacles, rows)``.
-            position_tube: Ω, ``(..., m)``.
-
-        Returns:
-            The same shape as `offset`.
-        """
-        square = np.maximum((self.shape**2).sum(axis=1), 1e-300)
-        error = np.zeros((*offset.shape[:-1], self.shape.shape[2]))
-        nearest = np.array(offset)
-        for _ in range(_SWEEPS):
-            change = 0.0
-            for j in range(error.shape[-1]):
-                column, limit = self.shape[:, :, j], position_tube[..., None, j]
-                along = np.einsum("...oi,oi->...o", nearest, column) / square[:, j]
-                step = np.clip(error[..., j] - along, -limit, limit) - error[..., j]
-                nearest += step[..., None] * column
-                error[..., j] += step
-                change = max(change, np.abs(step).max(initial=0.0))
-            if change < 1e-6:
-                break
-        return nearest
-
     def clearance(
         self,
         position: FloatArray,
@@ -133,48 +145,273 @@ class ObstacleSet:
                 ``support`` measures to the tube's box itself, which is tight.
 
         Returns:
-            Shape ``(..., num_obstacles)``, negative inside.
+            Shape ``(..., num_obstacles)``, negative inside.  Inside it is no more than
+            minus the depth.
         """
         # Column-major, for which NumPy adds much faster along the short last axis.
         offset = np.asfortranarray(self.offsets(position))
         tube = np.broadcast_to(position_tube, np.shape(position))
         if not np.any(position_tube):
-            distance = np.linalg.norm(offset, axis=-1)
+            distance = self._distance(offset)
         elif margin == "norm":
             radii = self.tube_radii(tube)
-            distance = np.linalg.norm(offset, axis=-1) - np.linalg.norm(radii, axis=-1)
+            distance = self._distance(offset) - np.linalg.norm(radii, axis=-1)
         else:
-            distance = np.linalg.norm(self.nearest_offset(offset, tube), axis=-1)
+            distance = self._distance(offset, tube)
         return np.asarray(distance - self.radius)
 
+    def clearance_along(
+        self,
+        ends: FloatArray,
+        position_tube: FloatArray,
+        leave: FloatArray,
+        margin: str,
+    ) -> FloatArray:
+        """A lower bound of `clearance` all along some chords, by half-planes.
 
-def visible(
-    obstacles: ObstacleSet,
-    *,
-    known_from: Array,
-    sensing_range: float,
-    time: float,
-    position: Array,
-) -> BoolArray:
-    """Which obstacles can be known at one instant.
+        ``ν'z - size`` is linear along both chords, that of r* and that of Ω, hence
+        smallest at an end, for any ν of unit length.
 
-    An obstacle is, from its time on or where its surface is within the range.
-    The distance is ``‖H r - p_c‖ - r_o`` over the largest stretch of H: the
-    distance itself for cylinders and spheres, and never more than that.
+        Args:
+            ends: r* at both, ``(2, q, m)``.
+            position_tube: Ω there, the same shape.
+            leave: how far r* and Ω together may leave the chords, ``(q, m)``.
+            margin: as in `clearance`.
 
-    Args:
-        obstacles: all that there are.
-        known_from: ``(num_obstacles,)``, in s; infinite if only seen.
-        sensing_range: in m; zero without a sensor.
-        time: in s.
-        position: y of the vehicle, ``(m,)``.
+        Returns:
+            Shape ``(q, num_obstacles)``.
+        """
+        offset = self.offsets(ends)
+        middle, tube = offset.mean(axis=0), None
+        if margin == "support":
+            # Any normal is valid; that of the nearest point of the tube is the best.
+            tube = position_tube.max(axis=0)
+        normal = self._gaps(middle, tube)
+        normal = normal / np.maximum(
+            np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9
+        )
+        if margin == "support":
+            extent = np.abs(np.einsum("oij,koi->koj", self.shape, normal))
+            size = np.einsum("koj,ekj->eko", extent, position_tube)
+        else:
+            size = np.linalg.norm(self.tube_radii(position_tube), axis=-1)
+        bound = ((normal * offset).sum(axis=-1) - size).min(axis=0)
+        bound = bound - self._farthest(normal)
+        sag = np.linalg.norm(self.tube_radii(leave), axis=-1)
+        return np.asarray(bound - self.radius - sag)
 
-    Returns:
-        ``(num_obstacles,)``.
-    """
-    scheduled = known_from <= time + 1e-9
-    if sensing_range <= 0 or not len(obstacles):
-        return np.asarray(scheduled)
-    stretch = np.linalg.norm(obstacles.shape, ord=2, axis=(1, 2))
-    seen = obstacles.clearance(position) <= sensing_range * stretch
-    return np.asarray(scheduled | seen)
+    def visible(
+        self, *, known_from: Array, sensing_range: float, time: float, position: Array
+    ) -> BoolArray:
+        """Which obstacles can be known at one instant.
+
+        An obstacle is, from its time on or where its surface is within the range.
+        The distance is `clearance` over the largest stretch of H: the distance itself
+        for cylinders and spheres, and never more than that.
+
+        Args:
+            known_from: ``(num_obstacles,)``, in s; infinite if only seen.
+            sensing_range: in m; zero without a sensor.
+            time: in s.
+            position: y of the vehicle, ``(m,)``.
+
+        Returns:
+            ``(num_obstacles,)``.
+        """
+        scheduled = known_from <= time + 1e-9
+        if sensing_range <= 0 or not len(self):
+            return np.asarray(scheduled)
+        stretch = np.linalg.norm(self.shape, ord=2, axis=(1, 2))
+        seen = self.clearance(position) <= sensing_range * stretch
+        return np.asarray(scheduled | seen)
+
+    def core_distance(self, offset: Array) -> Array:
+        """From each core to a point at an offset from p_c, ``(..., o)``; never less."""
+        return self._distance(offset)
+
+    def outputs_seen(self) -> BoolArray:
+        """Which outputs some obstacle looks at, ``(m,)``."""
+        return np.asarray(np.abs(self.shape).max(axis=(0, 1), initial=0.0) > 0)
+
+    def way_out(self, position: FloatArray, position_tube: FloatArray) -> FloatArray:
+        """The shortest way for each tube out of each obstacle, to first order.
+
+        Args:
+            position: r*, ``(..., m)``.
+            position_tube: Ω, ``(m,)``, which inflates the obstacles by ``‖|H| Ω‖``.
+
+        Returns:
+            ``(..., num_obstacles, m)``; zero where it is outside.
+        """
+        inflated = self.radius + np.linalg.norm(self.tube_radii(position_tube), axis=-1)
+        offset = self.offsets(position)
+        gap = self._gaps(offset)
+        size = np.maximum(np.linalg.norm(gap, axis=-1), 1e-9)
+        normal = np.einsum("...oi,oij->...oj", gap, self.shape)
+        normal /= size[..., None]
+        distance = self._distance(offset) if self.groups else size
+        slope = np.maximum((normal**2).sum(axis=-1), 1e-9)
+        depth = np.maximum(inflated - distance, 0.0) / slope
+        return np.asarray(depth[..., None] * normal)
+
+    # Cores.  For an obstacle whose core is a point all of these are trivial.
+
+    def support(self, obstacle: Indices, direction: Array) -> Array:
+        """Farthest points of cores in some directions, as offsets from p_c.
+
+        Args:
+            obstacle: indices, ``(P,)``.
+            direction: ``(P, ..., rows)``.
+
+        Returns:
+            The same shape as `direction`.
+        """
+        result = np.zeros(direction.shape)
+        for k, group in enumerate(self.groups):
+            mine = np.flatnonzero(self.group[obstacle] == k)
+            which = obstacle[mine]
+            there = group.cores.support(
+                self.member[which], direction[mine][..., : group.rows]
+            )
+            own = self.center[which].reshape(-1, *[1] * (direction.ndim - 2), self._row)
+            result[mine, ..., : group.rows] = there - own[..., : group.rows]
+        return result
+
+    def nearest(self, obstacle: Indices, offset: Array) -> Array:
+        """Points of cores that are nearest to others; all offsets from p_c.
+
+        Args:
+            obstacle: indices, ``(P,)``.
+            offset: ``(P, ..., rows)``.
+
+        Returns:
+            The same shape as `offset`.
+        """
+        result = np.zeros(offset.shape)
+        for k, group in enumerate(self.groups):
+            mine = np.flatnonzero(self.group[obstacle] == k)
+            which = obstacle[mine]
+            own = self.center[which].reshape(-1, *[1] * (offset.ndim - 2), self._row)
+            own = own[..., : group.rows]
+            point = offset[mine][..., : group.rows] + own
+            there = group.cores.nearest(self.member[which], point)
+            result[mine, ..., : group.rows] = there - own
+        return result
+
+    def gaps(
+        self, obstacle: Indices, offset: Array, tube: Array | None = None
+    ) -> Array:
+        """Along which normals tubes are best parted from cores.
+
+        Where they are apart, these are the vectors from the core's nearest point to
+        the tube's.  A tube that cuts a core is pushed straight away from p_c first,
+        until it does not.
+
+        Args:
+            obstacle: indices, ``(P,)``.
+            offset: of the tubes' middles from p_c, ``(P, rows)``.
+            tube: Ω, ``(P, m)``; only points if left out.
+
+        Returns:
+            ``(P, rows)``, not of unit length.
+        """
+        H = self.shape[obstacle]
+
+        def apart(these: Array, push: Array | float) -> Array:
+            moved = offset[these] + push
+            which, point = obstacle[these], np.zeros_like(moved)
+            for _ in range(_SWEEPS):
+                gap = moved - point
+                if tube is not None:
+                    gap = nearest_of_box(gap, H[these], tube[these])
+                before, point = point, self.nearest(which, point + gap)
+                if np.abs(point - before).max(initial=0.0) < 1e-11 or tube is None:
+                    break
+            gap = moved - point
+            return gap if tube is None else nearest_of_box(gap, H[these], tube[these])
+
+        everywhere = np.arange(len(obstacle))
+        gap = apart(everywhere, 0.0)
+        outwards = offset / np.maximum(np.linalg.norm(offset, axis=1), 1e-300)[:, None]
+        outwards[(np.abs(outwards) ** 2).sum(axis=1) < 0.5, 0] = 1.0
+        width = (outwards * self.support(obstacle, outwards)).sum(axis=1)
+        far = width.copy()
+        if tube is not None:
+            far += (np.abs(np.einsum("pij,pi->pj", H, outwards)) * tube).sum(axis=1)
+        tiny = _APART * np.maximum(far, 1e-9)
+        cut = np.flatnonzero(np.linalg.norm(gap, axis=1) < tiny)
+        if not len(cut):
+            return gap
+        low, high = np.zeros(len(cut)), far[cut] + 2 * tiny[cut]
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            trial = apart(cut, middle[:, None] * outwards[cut])
+            out = np.linalg.norm(trial, axis=1) >= tiny[cut]
+            low, high = np.where(out, low, middle), np.where(out, middle, high)
+        gap[cut] = apart(cut, high[:, None] * outwards[cut])
+        return gap
+
+    @property
+    def _row(self) -> int:
+        return self.shape.shape[1]
+
+    def _cored(self) -> Indices:
+        """Which obstacles' cores are more than a point."""
+        return np.flatnonzero(self.group >= 0)
+
+    def _gaps(self, offset: Array, tube: Array | None = None) -> Array:
+        """`gaps` of every obstacle; offsets ``(..., o, rows)``, Ω ``(..., m)``."""
+        result = offset
+        if tube is not None:
+            result = nearest_of_box(offset, self.shape, tube[..., None, :])
+            inside = np.linalg.norm(result, axis=-1, keepdims=True) < 1e-9
+            result = np.where(inside, offset, result)
+        if self.groups:
+            result = np.array(result)
+            which, flat, boxes = self._flat(offset, tube)
+            result[..., self._cored(), :] = self.gaps(which, flat, boxes).reshape(
+                *offset.shape[:-2], -1, self._row
+            )
+        return result
+
+    def _farthest(self, normal: Array) -> Array | float:
+        """σ of the cores, from p_c, ``(..., o)`` for normals ``(..., o, rows)``."""
+        if not self.groups:
+            return 0.0
+        which, flat, _ = self._flat(normal, None)
+        result = np.zeros(normal.shape[:-1])
+        far = (self.support(which, flat) * flat).sum(axis=-1)
+        result[..., self._cored()] = far.reshape(*normal.shape[:-2], -1)
+        return result
+
+    def _distance(self, offset: Array, tube: Array | None = None) -> Array:
+        """From each core to a point, or to a tube, ``(..., o)``."""
+        nearest = offset
+        if tube is not None:
+            nearest = nearest_of_box(offset, self.shape, tube[..., None, :])
+        distance = np.asarray(np.linalg.norm(nearest, axis=-1))
+        if self.groups:
+            which, flat, boxes = self._flat(offset, tube)
+            gap = self.gaps(which, flat, boxes)
+            size = np.maximum(np.linalg.norm(gap, axis=1, keepdims=True), 1e-300)
+            normal = gap / size
+            far = flat - self.support(which, normal)
+            along = (normal * far).sum(axis=1)
+            if boxes is not None:
+                extent = np.abs(np.einsum("pij,pi->pj", self.shape[which], normal))
+                along = along - (extent * boxes).sum(axis=1)
+            distance[..., self._cored()] = along.reshape(*offset.shape[:-2], -1)
+        return distance
+
+    def _flat(
+        self, values: Array, tube: Array | None
+    ) -> tuple[Indices, Array, Array | None]:
+        """Obstacles with a core, their part of some values, and tubes, one a row."""
+        mine = values[..., self._cored(), :]
+        lead = mine.shape[:-1]
+        which = np.broadcast_to(self._cored(), lead).ravel()
+        boxes = None
+        if tube is not None:
+            boxes = np.broadcast_to(tube[..., None, :], (*lead, tube.shape[-1]))
+            boxes = boxes.reshape(-1, tube.shape[-1])
+        return which, mine.reshape(-1, self._row), boxes

@@ -27,6 +27,7 @@ from dtmpc_drake.method.tube import Tube, cascade_bound, filter_rates, propagate
 from dtmpc_drake.models import ConstantUncertainty
 from dtmpc_drake.numerics import splines
 from dtmpc_drake.numerics.arrays import Array, FloatArray
+from dtmpc_drake.obstacles.separation import Halfplanes, separate
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.records.plan import Plan
 
@@ -116,46 +117,6 @@ class Local:
             layer=flat[..., nm + m : nm + 2 * m],
             bandwidth=flat[..., nm + 2 * m : nm + 3 * m],
             error_bound=flat[..., nm + 3 * m :].reshape(shape),
-        )
-
-
-@dataclasses.dataclass(frozen=True)
-class Halfplanes:
-    """Separating half-planes of pieces and obstacles that are near each other.
-
-    Attributes:
-        piece, obstacle: indices, ``(P,)``.
-        normal: ν in the image of H, ``(P, rows)``.
-        margin: ν'(H y - p_c) - r_o - tube at every control point, ``(P, c)``.
-        tube_gradient: of the tube term in Ω, ``(P, c, m)``.
-        hull: the control points' offsets H y - p_c, ``(P, c, rows)``.
-    """
-
-    piece: Array
-    obstacle: Array
-    normal: Array
-    margin: Array
-    tube_gradient: Array
-    hull: Array
-
-    def nearer_than(self, reach: float) -> Halfplanes:
-        """Those with less margin than this somewhere, in m."""
-        near = self.margin.min(axis=1, initial=np.inf) < reach
-        fields = dataclasses.fields(self)
-        return Halfplanes(**{f.name: getattr(self, f.name)[near] for f in fields})
-
-    def where(self, these: Array, other: Halfplanes) -> Halfplanes:
-        """Those of these places, ``(P,)``, and the others of another set elsewhere."""
-
-        def chosen(mine: Array, others: Array) -> Array:
-            return np.where(these.reshape(-1, *(1,) * (mine.ndim - 1)), mine, others)
-
-        names = [field.name for field in dataclasses.fields(self)]
-        return Halfplanes(
-            **{
-                name: chosen(getattr(self, name), getattr(other, name))
-                for name in names
-            }
         )
 
 
@@ -421,7 +382,14 @@ class Transcription:
             local=local,
             controls=controls,
             tube_controls=tube_controls,
-            planes=self._halfplanes(controls, tube_controls, hint),
+            planes=separate(
+                p.obstacles,
+                controls,
+                tube_controls,
+                tube_margin=p.tube_margin,
+                reach=self.obstacle_reach,
+                hint=hint,
+            ),
             speed_margin=speed_margin,
             input_margin=p.input_limit * (1 - INPUT_HAIR)
             - input_bound(p.law, at_nodes),
@@ -576,75 +544,6 @@ class Transcription:
             bounds[-1] = unit[:, n].T
         return bounds
 
-    # Obstacles.
-
-    def _halfplanes(
-        self, controls: Array, tube: Array, hint: Halfplanes | None
-    ) -> Halfplanes:
-        """The best separating half-plane of every near piece and obstacle."""
-        obstacles = self.problem.obstacles
-        offsets = obstacles.offsets(controls).swapaxes(1, 2)
-        # A cheap lower bound of the distance, to select the pairs.
-        middle = offsets.mean(axis=2, keepdims=True)
-        spread = np.linalg.norm(offsets - middle, axis=-1).max(axis=2)
-        bound = np.linalg.norm(middle[:, :, 0], axis=-1) - spread - obstacles.radius
-        radii = obstacles.tube_radii(tube.max(axis=1))
-        bound = bound - np.linalg.norm(radii, axis=-1)
-        piece, obstacle = np.nonzero(bound < self.obstacle_reach)
-        hull, H = offsets[piece, obstacle], obstacles.shape[obstacle]
-        boxes = np.einsum("pij,pcj->pci", np.abs(H), tube[piece])
-        normal = separating_normals(hull, np.linalg.norm(boxes, axis=-1))
-        if self.problem.tube_margin == "support":
-            # The size depends on the normal: a second pass settles it.
-            size = np.einsum("pci,pi->pc", boxes, np.abs(normal))
-            normal = separating_normals(hull, size)
-        found = self._margins(controls, tube, piece, obstacle, normal)
-        exact = self.problem.tube_margin == "norm" and obstacles.shape.shape[1] == 2
-        if hint is None or exact or not len(hint.piece):
-            return found
-        place = np.full((self.intervals, len(obstacles)), -1)
-        place[hint.piece, hint.obstacle] = np.arange(len(hint.piece))
-        known = place[piece, obstacle]
-        other = np.where((known >= 0)[:, None], hint.normal[known], normal)
-        hinted = self._margins(controls, tube, piece, obstacle, other)
-        return hinted.where(hinted.margin.min(axis=1) > found.margin.min(axis=1), found)
-
-    def margins(self, iterate: Iterate, planes: Halfplanes) -> Halfplanes:
-        """The same half-planes at another iterate."""
-        return self._margins(
-            iterate.controls,
-            iterate.tube_controls,
-            planes.piece,
-            planes.obstacle,
-            planes.normal,
-        )
-
-    def _margins(
-        self,
-        controls: Array,
-        tube: Array,
-        piece: Array,
-        obstacle: Array,
-        normal: Array,
-    ) -> Halfplanes:
-        obstacles = self.problem.obstacles
-        H = obstacles.shape[obstacle]
-        hull = np.einsum("pij,pcj->pci", H, controls[piece])
-        hull = hull - obstacles.center[obstacle][:, None]
-        tube = tube[piece]
-        if self.problem.tube_margin == "norm":
-            boxes = np.einsum("pij,pcj->pci", np.abs(H), tube)
-            size = np.linalg.norm(boxes, axis=-1)
-            weight = boxes / np.maximum(size, 1e-9)[..., None]
-            gradient = np.einsum("pij,pci->pcj", np.abs(H), weight)
-        else:
-            support = np.abs(np.einsum("pij,pi->pj", H, normal))
-            gradient = np.broadcast_to(support[:, None], tube.shape)
-            size = (gradient * tube).sum(axis=-1)
-        along = np.einsum("pci,pi->pc", hull, normal)
-        margin = along - obstacles.radius[obstacle][:, None] - size
-        return Halfplanes(piece, obstacle, normal, margin, gradient, hull)
-
     # Results.
 
     def plan(self, iterate: Iterate) -> Plan:
@@ -686,42 +585,6 @@ def hermite_controls(value: Array, rate: Array, step: float) -> Array:
         ],
         axis=1,
     )
-
-
-def separating_normals(hull: Array, size: Array) -> Array:
-    """The half-planes that best part the origin from a hull of balls.
-
-    Maximises over unit vectors ν the least of ``ν'z_i - ρ_i``.  At the optimum
-    one ball is nearest, or a pair is touched together; all such candidates are
-    tried.  That is exact in the plane; elsewhere any unit vector is valid.
-
-    Args:
-        hull: centres z_i, ``(P, c, rows)``.
-        size: radii ρ_i, ``(P, c)``.
-
-    Returns:
-        ``(P, rows)``.
-    """
-    first, second = np.triu_indices(hull.shape[1], 1)
-    edge = hull[:, second] - hull[:, first]
-    length = np.maximum(np.linalg.norm(edge, axis=-1, keepdims=True), 1e-12)
-    edge /= length
-    sine = (size[:, second] - size[:, first])[..., None] / length
-    middle = (hull[:, first] + hull[:, second]) / 2
-    square = middle - (middle * edge).sum(-1, keepdims=True) * edge
-    distance = np.linalg.norm(square, axis=-1, keepdims=True)
-    # Through the very centre: step aside, always to the same side.
-    aside = np.zeros_like(edge)
-    if hull.shape[2] > 1:
-        aside[..., 0], aside[..., 1] = edge[..., 1], -edge[..., 0]
-    square = np.where(distance > 1e-6, square / np.maximum(distance, 1e-12), aside)
-    sine = np.clip(sine, -1.0, 1.0)
-    pairs = sine * edge + np.sqrt(1 - sine**2) * square
-    radial = hull / np.maximum(np.linalg.norm(hull, axis=-1, keepdims=True), 1e-12)
-    candidates = np.concatenate([pairs, radial], axis=1)
-    margins = candidates @ hull.swapaxes(1, 2) - size[:, None]
-    best = margins.min(axis=2).argmax(axis=1)
-    return np.asarray(candidates[np.arange(len(hull)), best])
 
 
 def _end_conditions(intervals: int, degree: int, knot: int, step: float) -> Array:

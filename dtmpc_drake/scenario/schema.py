@@ -20,8 +20,9 @@ from dtmpc_drake.models import (
     Model,
 )
 from dtmpc_drake.numerics.arrays import Array, BoolArray
-from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Obstacle, ObstacleSet
-from dtmpc_drake.obstacles.field import visible
+from dtmpc_drake.obstacles import Obstacle, ObstacleSet
+from dtmpc_drake.obstacles.base import KINDS
+from dtmpc_drake.obstacles.ellipsoids import Ball
 from dtmpc_drake.scenario.error import ScenarioError
 from dtmpc_drake.scenario.error import require as _require
 from dtmpc_drake.scenario.error import show as _show
@@ -353,8 +354,7 @@ class Scenario:
 
     def visible_obstacles(self, time: float, position: Array) -> BoolArray:
         """Which obstacles can be known at a time and a place, ``(o,)``."""
-        return visible(
-            self.obstacle_set(),
+        return self.obstacle_set().visible(
             known_from=self.known_from(),
             sensing_range=self.sensing.range or 0.0,
             time=time,
@@ -446,10 +446,8 @@ class Scenario:
             velocity: of the vehicle, ``(m,)``; if left out, the speed limit along
                 all axes that obstacles look at, which no certified flight exceeds.
         """
-        obstacles = self.obstacle_set()
         if velocity is None:
-            seen = np.abs(obstacles.shape).max(axis=(0, 1), initial=0.0) > 0
-            velocity = self.limits.speed * seen
+            velocity = self.limits.speed * self.obstacle_set().outputs_seen()
         bandwidth, n = self.controller.bandwidth, self.model.order
         interval = self.duration / self.planner.intervals
         return range_needed(
@@ -563,20 +561,9 @@ class Scenario:
                 )
                 lists[f"{end}.{field}"] = row
         for i, obstacle in enumerate(self.obstacles):
-            name = f"obstacles[{i}]"
-            if isinstance(obstacle, Cylinder):
-                ok = len(obstacle.center) == 2 and m >= 2
-                _require(f"{name}.center", obstacle.center, ok, "2 numbers (x, y in m)")
-            else:
-                lists[f"{name}.center"] = obstacle.center
-            if isinstance(obstacle, Ellipsoid):
-                H = obstacle.shape
-                ok = 1 <= len(H) <= 100 and all(len(row) == m for row in H)
-                rows = f"rows of {m} numbers each, at most 100"
-                _require(f"{name}.shape", H, ok, rows)
-                _require(
-                    f"{name}.shape", H, bool(np.any(H)), "a matrix that is not zero"
-                )
+            for fault in obstacle.faults(m):
+                field = f"obstacles[{i}].{fault.field}"
+                _require(field, fault.value, False, fault.allowed)
         for field, value in lists.items():
             _require(field, value, len(value) == m, f"{m} numbers, one for each output")
 
@@ -601,7 +588,8 @@ class Scenario:
         for i, slope in enumerate(c.slope):
             positive[f"controller.slope[{i}]"] = (slope, "1/s")
         for i, obstacle in enumerate(self.obstacles):
-            positive[f"obstacles[{i}].radius"] = (obstacle.radius, "m")
+            if isinstance(obstacle, Ball):
+                positive[f"obstacles[{i}].radius"] = (obstacle.radius, "m")
         for name in ("hold", "correlation_time"):
             seconds = getattr(self.disturbance, name, None)
             if seconds is not None:
@@ -790,7 +778,13 @@ class Scenario:
                 a model of your own: it would be written as a similar one.
         """
         self._check_types()
-        return str(yaml_dump_typed(typed(Scenario, self, ""), schema=Scenario))
+        # Drake's writer wants to be told every kind of obstacle.
+        kinds = {"obstacles": list[Union[tuple(KINDS)]]}  # type: ignore[misc]
+        fields = dataclasses.fields(Scenario)
+        schema = dataclasses.make_dataclass(
+            "Scenario", [(f.name, kinds.get(f.name, f.type)) for f in fields]
+        )
+        return str(yaml_dump_typed(typed(Scenario, self, ""), schema=schema))
 
     def __repr__(self) -> str:
         """Names what a reader wants to know first."""

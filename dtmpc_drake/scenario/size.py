@@ -29,7 +29,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dtmpc_drake.obstacles import Ellipsoid
 from dtmpc_drake.scenario.error import ScenarioError, require
 
 if TYPE_CHECKING:
@@ -194,8 +193,8 @@ def _logged(scenario: Scenario) -> int:
 
 def _rows(scenario: Scenario) -> int:
     """Rows of the largest shape matrix, at most."""
-    rows = [len(o.shape) for o in scenario.obstacles if isinstance(o, Ellipsoid)]
-    return max([scenario.model.num_outputs, *rows])
+    m = scenario.model.num_outputs
+    return max([m, *(len(o.shape_matrix(m)) for o in scenario.obstacles)])
 
 
 def require_affordable(scenario: Scenario) -> None:

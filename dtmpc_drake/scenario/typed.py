@@ -18,6 +18,7 @@ from typing import Any, Union
 
 import numpy as np
 
+from dtmpc_drake.obstacles.base import KINDS, Obstacle
 from dtmpc_drake.scenario.error import ScenarioError, join, require
 from dtmpc_drake.scenario.text import Section, Text
 
@@ -68,6 +69,8 @@ def typed(schema: Any, value: Any, path: str) -> Any:
             typed(str, k, path): typed(args[1], v, join(path, str(k)))
             for k, v in value.items()
         }
+    if schema is Obstacle:
+        return _one_of(KINDS, value, path)
     if dataclasses.is_dataclass(schema):
         _refuse_tag(value, path)
         return _filled(schema, value, path)
@@ -133,7 +136,7 @@ def _filled(schema: Any, value: Any, path: str) -> Any:
             )
     required = _REQUIRED.get(path, ())
     if path.startswith("obstacles["):
-        required = ("center", "radius")
+        required = tuple(name for name in ("center", "radius") if name in fields)
     for name in required:
         if name not in value:
             raise ScenarioError(join(path, name), None, "given: it is missing")

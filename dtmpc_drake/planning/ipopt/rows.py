@@ -16,9 +16,9 @@ from pydrake.autodiffutils import AutoDiffXd, ExtractValue, InitializeAutoDiff
 from pydrake.solvers import MathematicalProgram
 
 from dtmpc_drake.numerics import splines
-from dtmpc_drake.numerics.arrays import Array, euclidean_norm, jacobian
+from dtmpc_drake.numerics.arrays import Array, jacobian
+from dtmpc_drake.obstacles.separation import Turning
 from dtmpc_drake.planning.scp.layout import Variables
-from dtmpc_drake.planning.scp.linearise import tangent_space, turned
 from dtmpc_drake.planning.transcription import Iterate, Local, Transcription
 
 ROUNDING = 0.02
@@ -316,16 +316,8 @@ class Separation(NlpRows):
         which: Array,
     ) -> None:
         tr = transcription
-        obstacle, piece = guess.planes.obstacle[which], guess.planes.piece[which]
-        obstacles = tr.problem.obstacles
-        self._norm = tr.problem.tube_margin == "norm"
-        self._shape, self._center = (
-            obstacles.shape[obstacle],
-            obstacles.center[obstacle],
-        )
-        self._radius = obstacles.radius[obstacle]
-        self._normal = guess.planes.normal[which]
-        self._tangents = tangent_space(self._normal)
+        piece = guess.planes.piece[which]
+        self._turning = Turning(guess.planes, which, TURN_ROUNDING)
         self._position, self._tube = tr.position_basis, layout.tube_matrix
         states = layout.state_columns[piece]
         seen = self._cubic(layout.pack(tr, guess)[states])
@@ -345,57 +337,23 @@ class Separation(NlpRows):
     def _cubic(self, states: Array) -> Array:
         return np.asarray(np.einsum("cjs,ps->pcj", self._tube, states))
 
-    def _evaluate(self, z: Array) -> tuple[Array, Array, Array, Array]:
-        """Hulls, tubes, unit normals, and the normals' derivatives by t."""
+    def _evaluate(self, z: Array) -> tuple[Array, Array, Array]:
+        """Control points, those of the tube, and the normals' turning."""
         coefficients, states, t = np.split(z[self._columns], self._split, axis=1)
         windows = coefficients.reshape(len(t), -1, self._tube.shape[1])
-        hull = np.einsum("pij,pcj->pci", self._shape, self._position @ windows)
-        hull = hull - self._center[:, None]
-        length = np.sqrt(1 + (t * t).sum(axis=1))[:, None, None]
-        normal = turned(self._normal, t)
-        by_turn = self._tangents / length
-        by_turn = by_turn - normal[:, None] * t[:, :, None] / length**2
-        return hull, self._cubic(states) + self._above, normal, by_turn
-
-    def _size(
-        self, tube: Array, direction: Array
-    ) -> tuple[Array, Array, Array | float]:
-        """The tube's, and its derivatives by tube and direction H'ν."""
-        if self._norm:
-            boxes = np.einsum("pij,pcj->pci", np.abs(self._shape), tube)
-            size = euclidean_norm(boxes)
-            weight = boxes / size[..., None]
-            by_tube = np.einsum("pij,pci->pcj", np.abs(self._shape), weight)
-            return size, by_tube, 0.0
-        support = np.sqrt(direction**2 + TURN_ROUNDING**2)[:, None]
-        by_direction = tube * direction[:, None] / support
-        return (
-            (tube * support).sum(axis=-1),
-            np.broadcast_to(support, tube.shape),
-            by_direction,
-        )
+        return self._position @ windows, self._cubic(states) + self._above, t
 
     def values(self, z: Array) -> Array:
         """See base class; one for every control point, in m."""
-        hull, tube, normal, _ = self._evaluate(z)
-        direction = np.einsum("pij,pi->pj", self._shape, normal)
-        size, _, _ = self._size(tube, direction)
-        along = np.einsum("pci,pi->pc", hull, normal)
-        return np.asarray(along - self._radius[:, None] - size).ravel()
+        return self._turning.margins(*self._evaluate(z)).ravel()
 
     def slopes(self, z: Array) -> Array:
         """See base class."""
-        hull, tube, normal, by_turn = self._evaluate(z)
-        direction = np.einsum("pij,pi->pj", self._shape, normal)
-        _, by_tube, by_direction = self._size(tube, direction)
-        position = np.einsum("cq,pj->pcqj", self._position, direction)
+        by_position, by_tube, turn = self._turning.slopes(*self._evaluate(z))
+        position = np.einsum("cq,pj->pcqj", self._position, by_position)
         states = np.einsum("pcj,cjs->pcs", by_tube, self._tube)
-        turn = np.einsum("pci,pti->pct", hull, by_turn)
-        if not self._norm:
-            direction = np.einsum("pij,pti->ptj", self._shape, by_turn)
-            turn = turn - np.einsum("pcj,ptj->pct", by_direction, direction)
-        P, c = hull.shape[:2]
-        slopes = np.concatenate([position.reshape(P, c, -1), -states, turn], axis=2)
+        P, c = turn.shape[:2]
+        slopes = np.concatenate([position.reshape(P, c, -1), states, turn], axis=2)
         return np.asarray(slopes.reshape(self.columns.shape))
 
 

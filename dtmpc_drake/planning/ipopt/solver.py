@@ -9,7 +9,6 @@ variables there are, and that a quasi-Newton method sees no kinks (`nlp_rows`).
 
 from __future__ import annotations
 
-import dataclasses
 import threading
 import time
 from collections.abc import Callable
@@ -29,7 +28,7 @@ from dtmpc_drake.planning.ipopt.rows import (
     bound_rows,
 )
 from dtmpc_drake.planning.scp.algorithm import Result, violation
-from dtmpc_drake.planning.scp.linearise import BACKOFF, turned
+from dtmpc_drake.planning.scp.linearise import BACKOFF
 from dtmpc_drake.planning.transcription import Iterate, Local, Transcription
 from dtmpc_drake.records.result import Iteration
 
@@ -287,10 +286,9 @@ class _Program:
             self._block(z, name) for name in ("coefficients", "bandwidth")
         )
         hint, blocks = self._guess.planes, self.layout.blocks
-        if len(hint.piece):
+        if len(hint):
             rotation = z[blocks["rotation"]].reshape(len(hint.piece), -1)
-            normal = turned(hint.normal, rotation)
-            hint = dataclasses.replace(hint, normal=normal)
+            hint = hint.turned(rotation)
         with np.errstate(all="ignore"):  # an iterate that diverges may overflow
             return tr.evaluate(coefficients, tr.feasible_bandwidth(alpha), hint=hint)
 

@@ -170,11 +170,10 @@ def _obstacle_margin(
 def _clearance_bounds(
     problem: Problem, corridor: Corridor, start: Array, stride: int
 ) -> Array:
-    """Lower bounds of the clearance on some intervals, by half-planes.
+    """Lower bounds of the clearance on some intervals.
 
     Within an interval the reference leaves its chord by at most ``h²/8 max|ÿ*|``,
-    and Ω by ``h²/8 max|d²Ω/dt²|``; ``ν'z - size`` is linear along both chords, hence
-    smallest at an end.
+    and Ω by ``h²/8 max|d²Ω/dt²|``.
 
     Args:
         problem: gives the obstacles.
@@ -185,26 +184,12 @@ def _clearance_bounds(
     Returns:
         Shape ``(q, num_obstacles)``.
     """
-    obstacles = problem.obstacles
     ends = np.stack([start, start + stride])
-    offset = obstacles.offsets(corridor.reference.at_ends()[ends])
-    tube = corridor.position_tube[ends]
-    normal = offset.mean(axis=0)
-    if problem.tube_margin == "support":
-        # Any normal is valid; that of the nearest point of the tube is the best.
-        nearest = obstacles.nearest_offset(normal, tube.max(axis=0))
-        inside = np.linalg.norm(nearest, axis=-1, keepdims=True) < 1e-9
-        normal = np.where(inside, normal, nearest)
-    normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
-    if problem.tube_margin == "support":
-        extent = np.abs(np.einsum("oij,koi->koj", obstacles.shape, normal))
-        size = np.einsum("koj,ekj->eko", extent, tube)
-    else:
-        size = np.linalg.norm(obstacles.tube_radii(tube), axis=-1)
-    bound = ((normal * offset).sum(axis=-1) - size).min(axis=0)
-
     inner = start[:, None] + np.arange(stride)
     bend = corridor.reference.largest(2) + corridor.position_bend
-    leave = (stride * corridor.step) ** 2 / 8 * bend[inner].max(axis=1)
-    sag = np.linalg.norm(obstacles.tube_radii(leave), axis=-1)
-    return np.asarray(bound - obstacles.radius - sag)
+    return problem.obstacles.clearance_along(
+        corridor.reference.at_ends()[ends],
+        corridor.position_tube[ends],
+        leave=(stride * corridor.step) ** 2 / 8 * bend[inner].max(axis=1),
+        margin=problem.tube_margin,
+    )

@@ -17,13 +17,12 @@ import dataclasses
 import numpy as np
 
 from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.obstacles.separation import Halfplanes
 from dtmpc_drake.planning.scp.layout import Variables
-from dtmpc_drake.planning.transcription import Halfplanes, Iterate, Transcription
+from dtmpc_drake.planning.transcription import Iterate, Transcription
 
 SMALLEST_HIGHEST = 0.05
 """Norms of y*^(n) below this are taken for it: they bend without limit at zero."""
-SMALLEST_SIZE = 1e-3
-"""The same of the tube's size, in m."""
 LOSS = 0.25
 """Part of what turning a half-plane loses that is priced."""
 
@@ -101,16 +100,12 @@ def tube_curvature(
     tr, by = transcription, variables.tube_matrix
     result = np.zeros((tr.intervals, by.shape[2], by.shape[2]))
     # A support is linear in Ω.
-    if tr.problem.tube_margin == "norm" and len(planes.piece):
+    if tr.problem.tube_margin == "norm" and len(planes):
         price = multipliers.planes[planes.piece, planes.obstacle]
         p, c = np.nonzero(price)
-        H = np.abs(tr.problem.obstacles.shape[planes.obstacle[p]])
-        box = np.einsum("pij,pj->pi", H, iterate.tube_controls[planes.piece[p], c])
-        size = np.linalg.norm(box, axis=1)
-        bend = _bend(box, np.maximum(size, SMALLEST_SIZE))
-        bend *= price[p, c, None, None]
-        by_states = H @ by[c]
-        each = by_states.swapaxes(1, 2) @ bend @ by_states
+        tube = iterate.tube_controls[planes.piece[p], c]
+        bend = planes.size_curvature(p, tube) * price[p, c, None, None]
+        each = by[c].swapaxes(1, 2) @ bend @ by[c]
         np.add.at(result, planes.piece[p], each)
     return result
 
@@ -122,9 +117,9 @@ def rotation_curvature(planes: Halfplanes, multipliers: Multipliers) -> Array:
     moving together also gain, a product of both that is not convex and left out; so
     only a part of the loss is priced.
     """
-    along = np.einsum("pci,pi->pc", planes.hull, planes.normal)
+    lost = np.maximum(planes.lost_by_turning(), 0.0)
     price = multipliers.planes[planes.piece, planes.obstacle]
-    return np.asarray(LOSS * (price * np.maximum(along, 0.0)).sum(axis=1))
+    return np.asarray(LOSS * (price * lost).sum(axis=1))
 
 
 def _bend(vector: Array, size: Array) -> Array:

@@ -56,11 +56,10 @@ class Variables:
     ) -> None:
         tr = transcription
         n, m, N = tr.order, tr.outputs, tr.intervals
-        obstacles = tr.problem.obstacles
         self.outputs = m
         self.num_states = n + 1 if tr.has_velocity_state else n
         # Each separating half-plane may turn, along each tangent of its normal.
-        self.tangents = obstacles.shape.shape[1] - 1
+        self.tangents = tr.problem.obstacles.tangents
         self.num_planes = planes
         self.blocks: dict[str, slice] = {}
         self.size = 0

@@ -14,6 +14,7 @@ import dataclasses
 import numpy as np
 
 from dtmpc_drake.numerics.arrays import Array, bends, euclidean_norm
+from dtmpc_drake.obstacles.separation import Halfplanes
 from dtmpc_drake.planning.deadline import NEVER, Deadline
 from dtmpc_drake.planning.scp.clarabel import QuadraticProgram
 from dtmpc_drake.planning.scp.curvature import (
@@ -26,12 +27,7 @@ from dtmpc_drake.planning.scp.layout import Variables
 from dtmpc_drake.planning.scp.rows import ZERO, Rows
 from dtmpc_drake.planning.scp.sensitivity import kinks, transitions
 from dtmpc_drake.planning.scp.slopes import feedforward_slopes, limit_slopes
-from dtmpc_drake.planning.transcription import (
-    Halfplanes,
-    Iterate,
-    Local,
-    Transcription,
-)
+from dtmpc_drake.planning.transcription import Iterate, Local, Transcription
 
 PENALTY = 1e3
 """First weight of the slack; raised while a converged plan still needs slack."""
@@ -411,26 +407,15 @@ class Program:
         """Values and columns of every half-plane at every control point."""
         tr, v = self.transcription, self.variables
         controls, count = tr.position_basis.shape
-        P, m = len(planes.piece), tr.outputs
-        # In the space of y the normal is H' ν.
-        H = tr.problem.obstacles.shape[planes.obstacle]
-        normal = np.einsum("pij,pi->pj", H, planes.normal)
-        position = np.einsum("cq,pj->pcqj", tr.position_basis, normal)
-        tube = np.einsum("pcj,cjs->pcs", planes.tube_gradient, v.tube_matrix)
-        # Turning the normal along its tangents, for as many planes as have room.
+        P, m = len(planes), tr.outputs
+        position = np.einsum("cq,pj->pcqj", tr.position_basis, planes.by_position())
+        tube = np.einsum("pcj,cjs->pcs", planes.by_tube, v.tube_matrix)
+        # As many normals as have room may turn.
         turn = np.zeros((P, controls, v.tangents))
         rotation = np.zeros((P, v.tangents), dtype=int) + v.blocks["rotation"].start
         free = min(P, v.num_planes) if v.tangents else 0
         if free:
-            tangents = tangent_space(planes.normal[:free])
-            turn[:free] = np.einsum("pci,pti->pct", planes.hull[:free], tangents)
-            if tr.problem.tube_margin == "support":
-                # |H'ν| Ω turns, too; in its kinks it has no slope.
-                sign = np.sign(normal[:free]) * (np.abs(normal[:free]) > 1e-6)
-                by_turn = np.einsum("pij,pti->ptj", H[:free], tangents)
-                by_turn = by_turn * sign[:, None]
-                tubes = iterate.tube_controls[planes.piece[:free]]
-                turn[:free] -= tubes @ by_turn.swapaxes(1, 2)
+            turn[:free] = planes.by_turning(iterate.tube_controls, free)
             rotation[:free] += np.arange(free * v.tangents).reshape(free, -1)
         values = np.concatenate(
             [position.reshape(P, controls, count * m), -tube, turn], axis=2
@@ -528,7 +513,7 @@ class Program:
     def margins_after(self, z: Array, reached: Iterate) -> tuple[Array, Array]:
         """Margins of the relaxed rows as promised for a step, and as reached."""
         promised = self._hard_margin + (self._rows.matrix @ z)[self._hard] - z[-1]
-        turned = self.transcription.margins(reached, self.turned(z))
+        turned = self.turned(z).at(reached.controls, reached.tube_controls)
         return promised, self._hard_margins(reached, turned.margin)
 
     def correct(self, z: Array, reached: Iterate) -> None:
@@ -540,12 +525,10 @@ class Program:
 
     def turned(self, z: Array) -> Halfplanes:
         """The half-planes as a step turns them."""
-        v, normal = self.variables, self._planes.normal.copy()
-        free = min(len(normal), v.num_planes) if v.tangents else 0
-        if free:
-            turn = z[v.blocks["rotation"]].reshape(-1, v.tangents)[:free]
-            normal[:free] = turned(normal[:free], turn)
-        return dataclasses.replace(self._planes, normal=normal)
+        v, planes = self.variables, self._planes
+        free = min(len(planes), v.num_planes) if v.tangents else 0
+        turn = z[v.blocks["rotation"]].reshape(-1, max(v.tangents, 1))[:free]
+        return planes.turned(turn) if free else planes
 
     def decided(self, z: Array) -> Array:
         """The decisions' part of a step."""
@@ -599,38 +582,6 @@ def _needed(read: Array, links: Array) -> Array:
     for _ in range(len(links)):
         later = later | (later @ links)
     return np.asarray(later)
-
-
-def tangent_space(normal: Array) -> Array:
-    """An orthonormal basis of what is square to each unit vector.
-
-    Args:
-        normal: ``(P, rows)``.
-
-    Returns:
-        ``(P, rows - 1, rows)``.
-    """
-    rows = normal.shape[1]
-    if rows == 2:
-        return np.stack([-normal[:, 1], normal[:, 0]], axis=1)[:, None]
-    # A reflection that maps the first axis to the normal.
-    sign = np.where(normal[:, 0] >= 0, 1.0, -1.0)
-    mirror = normal.copy()
-    mirror[:, 0] += sign
-    outer = mirror[:, :, None] * mirror[:, None, :]
-    size = (mirror**2).sum(1)[:, None, None]
-    return np.asarray((np.eye(rows) - 2 * outer / size)[:, 1:])
-
-
-def turned(normal: Array, rotation: Array) -> Array:
-    """Unit normals ``(ν + Σ t_j τ_j) / sqrt(1 + t't)`` with tangents τ.
-
-    Args:
-        normal: ν, ``(P, rows)``.
-        rotation: t, ``(P, rows - 1)``.
-    """
-    moved = normal + np.einsum("pt,pti->pi", rotation, tangent_space(normal))
-    return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
 
 
 def kinked_coordinates(transcription: Transcription) -> Array:
