@@ -84,7 +84,7 @@ class TubeMonitor(LeafSystem):
     the function of that name).  `clearance` has the distance of the plant's
     true position from the surface of each obstacle, in m and negative inside;
     without obstacles it is one infinity.  `quantities`, ``(7,)``, is what the
-    `QUANTITIES` of `dtmpc_drake.verdict` are now, and `record` its flattened ``(6, 7)``
+    `QUANTITIES` of `records.verdict` are now, and `record` its flattened ``(6, 7)``
     record: the worst so far of each, and when a limit was broken first.  With
     `trials`, `state`, `control` and all outputs have one more axis in front.
 
@@ -108,9 +108,7 @@ class TubeMonitor(LeafSystem):
         self._shape = (count, n, m)
         self._slope = scenario.slope()
         self._obstacles = scenario.obstacle_set()
-        self._largest = verdict.largest_kept(
-            input_limit=scenario.limits.input, speed_limit=scenario.limits.speed
-        )
+        self._largest = verdict.largest_kept(scenario.limits)
         self._state = self.DeclareVectorInputPort("state", count * n * m)
         self._plan = DeclarePlanInputPort(self)
         self._control = self.DeclareVectorInputPort("control", count * m)
