@@ -47,6 +47,22 @@ class Replan:
     plan: Plan | None = dataclasses.field(compare=False)
     solve_time: float = dataclasses.field(compare=False)
 
+    @classmethod
+    def given(cls, plan: Plan) -> Replan:
+        """The record of a plan that was given at the start, not made."""
+        return cls(
+            time=0.0,
+            hand_over=0.0,
+            cause="start",
+            revealed=(),
+            status="given",
+            message="",
+            iterations=0,
+            cost=None,
+            plan=plan,
+            solve_time=0.0,
+        )
+
     def summary(self) -> dict[str, Any]:
         """Everything but the plan, as plain numbers and texts."""
         names = [f.name for f in dataclasses.fields(self) if f.name != "plan"]

@@ -19,6 +19,7 @@ from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.systems.plan_port import DeclarePlanInputPort, EvalPlan
 from dtmpc_drake.systems.side_by_side import unflattened
+from dtmpc_drake.systems.wiring import AddConnected
 
 _WIDENING = 1e-6
 """Added to every bound (in m or m/s), so that 0/0 at the start counts as 0."""
@@ -167,12 +168,9 @@ class TubeMonitor(LeafSystem):
         Returns:
             The monitor, named ``tube_monitor``.
         """
-        monitor: TubeMonitor = builder.AddNamedSystem(
-            "tube_monitor", TubeMonitor(scenario=scenario, trials=trials)
-        )
-        for name, port in (("state", state), ("plan", plan), ("control", control)):
-            builder.Connect(port, monitor.GetInputPort(name))
-        return monitor
+        monitor = TubeMonitor(scenario=scenario, trials=trials)
+        inputs = {"state": state, "plan": plan, "control": control}
+        return AddConnected(builder, "tube_monitor", monitor, inputs)
 
     def _calc_tube_ratios(self, context: Any, output: Any) -> None:
         ratios = tube_ratios(
