@@ -10,6 +10,7 @@ import pytest
 from dtmpc_drake.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
+    from dtmpc_drake.planning import Problem
     from dtmpc_drake.records.result import PlanningResult
 
 # The same examples on every machine, and no files left behind.
@@ -31,3 +32,11 @@ def known_result() -> PlanningResult:
     from dtmpc_drake.planning import plan
 
     return plan(load_scenario("known_environment"))
+
+
+@pytest.fixture(scope="session")
+def known_problem() -> Problem:
+    """What that plan solves."""
+    from dtmpc_drake.planning import Problem
+
+    return Problem.from_scenario(load_scenario("known_environment"))

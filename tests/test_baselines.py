@@ -238,12 +238,15 @@ def test_only_what_keeps_every_limit_is_certified(outcomes: dict[str, Outcome]) 
 
 def test_all_have_the_same_cost_function(outcomes: dict[str, Outcome]) -> None:
     # Three axes above the floor for 4 s; the weight is 0.1.
+    problem = outcomes["both"].baseline.problem
     fixed = outcomes["state_dependent"].result
     excess = outcomes["state_dependent"].baseline.fixed_bandwidth - 0.5
-    assert bandwidth_cost(fixed) == pytest.approx(0.1 * 3 * excess**2 * 4.0, rel=1e-3)
-    assert bandwidth_cost(outcomes["nominal"].result) == 0.0
+    assert bandwidth_cost(fixed, problem) == pytest.approx(
+        0.1 * 3 * excess**2 * 4.0, rel=1e-3
+    )
+    assert bandwidth_cost(outcomes["nominal"].result, problem) == 0.0
     free = outcomes["both"].result
-    assert bandwidth_cost(free) > 0.0
+    assert bandwidth_cost(free, problem) > 0.0
     assert outcomes["nominal"].result.cost < free.cost < fixed.cost
 
 

@@ -19,9 +19,10 @@ from dtmpc_drake.method.tube import cascade_bound, comparison_rate
 from dtmpc_drake.models import ConstantUncertainty, DragDoubleIntegrator
 from dtmpc_drake.numerics.polynomials import Polynomial
 from dtmpc_drake.obstacles import Ellipsoid, ObstacleSet, Sphere
-from dtmpc_drake.planning import certify, plan_problem
+from dtmpc_drake.planning import Problem, certify, plan_problem
 from dtmpc_drake.planning.proof.certify import TOP_TOLERANCE, TUBE_TOLERANCE
 from dtmpc_drake.planning.proof.enclosure import enclose
+from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.records.result import PlanningResult
 from dtmpc_drake.scenario import Planner
 from tests.models_for_tests import changed_problem, every_model, make_problem, name_of
@@ -38,30 +39,33 @@ _planned: dict[str, PlanningResult] = {}
 
 
 @pytest.fixture
-def result(model, velocity_bound, request) -> PlanningResult:
-    """A plan from rest to rest with an error at the start; made once a case."""
+def problem(model, velocity_bound) -> Problem:
+    """From rest to rest with an error at the start."""
+    error = np.zeros((model.order, model.num_outputs))
+    error[0] = 0.02
+    return make_problem(
+        model, velocity_bound=velocity_bound, initial_error=error, input_limit=24.0
+    )
+
+
+@pytest.fixture
+def result(problem, request) -> PlanningResult:
+    """Its plan; made once a case."""
     key = request.node.callspec.id
     if key not in _planned:
-        error = np.zeros((model.order, model.num_outputs))
-        error[0] = 0.02
-        problem = make_problem(
-            model, velocity_bound=velocity_bound, initial_error=error, input_limit=24.0
-        )
         _planned[key] = plan_problem(problem, Planner(intervals=24))
     assert _planned[key].certified, _planned[key]
     return _planned[key]
 
 
-def gain_along(result: PlanningResult, time):
+def gain_along(plan: Plan, problem: Problem, time):
     """κ = αΦ that the plan's own layer implies."""
-    problem = result.problem
-    reference = result.plan.reference(time)[..., : problem.model.order, :]
-    return problem.law.gain(reference, result.plan.boundary_layer_rate(time))
+    reference = plan.reference(time)[..., : problem.model.order, :]
+    return problem.law.gain(reference, plan.boundary_layer_rate(time))
 
 
-def integrated_bounds(result: PlanningResult, time):
+def integrated_bounds(plan: Plan, problem: Problem, time):
     """R_0 ... R_(n-1) by SciPy, ``(K, n, m)``."""
-    problem, plan = result.problem, result.plan
     model = problem.model
     n, m = model.order, model.num_outputs
     compare = n > 1 and problem.velocity_bound == "comparison"
@@ -83,11 +87,11 @@ def integrated_bounds(result: PlanningResult, time):
             top = comparison_rate(
                 problem.law,
                 reference=plan.reference(t)[:n],
-                bandwidth=gain_along(result, t) / plan.boundary_layer(t),
+                bandwidth=gain_along(plan, problem, t) / plan.boundary_layer(t),
                 error_bound=bound,
             )
             # The decay acts on W itself, whichever bound Δ̄ looks at.
-            alpha = gain_along(result, t) / plan.boundary_layer(t)
+            alpha = gain_along(plan, problem, t) / plan.boundary_layer(t)
             top -= (alpha + (n - 1) * slope) * (states[-1] - bound[-1])
             rates = np.concatenate([rates, top[None]])
         return rates.ravel()
@@ -108,12 +112,12 @@ def integrated_bounds(result: PlanningResult, time):
 
 
 @pytest.mark.parametrize(("model", "velocity_bound"), CASES)
-def test_the_enclosed_tube_holds_the_integrated_one_and_is_tight(result):
+def test_the_enclosed_tube_holds_the_integrated_one_and_is_tight(result, problem):
     time = np.linspace(0.0, result.plan.end_time, 4001)
     enclosure = enclose(
-        result.plan, result.problem, longest=2e-3, velocity_slack=TOP_TOLERANCE
+        result.plan, problem, longest=2e-3, velocity_slack=TOP_TOLERANCE
     )
-    exact = integrated_bounds(result, time)
+    exact = integrated_bounds(result.plan, problem, time)
     index = np.searchsorted(enclosure.corridor.time, time, side="right") - 1
     index = np.minimum(index, len(enclosure.corridor.time) - 2)
     above = enclosure.error_bound[index] - exact
@@ -128,12 +132,12 @@ def test_the_enclosed_tube_holds_the_integrated_one_and_is_tight(result):
 
 
 @pytest.mark.parametrize(("model", "velocity_bound"), CASES)
-def test_every_margin_is_below_a_dense_sample_of_it_and_near(result):
-    plan, problem = result.plan, result.problem
+def test_every_margin_is_below_a_dense_sample_of_it_and_near(result, problem):
+    plan = result.plan
     time = np.linspace(0.0, plan.end_time, 4001)
     n = problem.model.order
-    reference, gain = plan.reference(time), gain_along(result, time)
-    bound = integrated_bounds(result, time)
+    reference, gain = plan.reference(time), gain_along(plan, problem, time)
+    bound = integrated_bounds(plan, problem, time)
     bandwidth = gain / plan.boundary_layer(time)
     at = Instant(reference[:, :n], reference[:, n], gain, bound)
     speed = np.abs(reference[:, 1]) + rate_bound(problem.law, at)
@@ -152,14 +156,14 @@ def test_every_margin_is_below_a_dense_sample_of_it_and_near(result):
 
 
 @pytest.mark.parametrize("factor", [0.9, 0.97])
-def test_a_tube_that_claims_too_little_is_caught(known_result, factor):
+def test_a_tube_that_claims_too_little_is_caught(known_result, known_problem, factor):
     """Δ̄ looks at the plan's own W only after that is proven."""
     plan = known_result.plan
     samples, rates = plan.bound_samples.copy(), plan.bound_rate_samples.copy()
     samples[:, 1] *= factor
     rates[:, 1] *= factor
     smaller = dataclasses.replace(plan, bound_samples=samples, bound_rate_samples=rates)
-    certificate = certify(smaller, known_result.problem)
+    certificate = certify(smaller, known_problem)
     assert certificate.margins["tube"].value < 0
     assert not certificate.certified
 
@@ -167,17 +171,20 @@ def test_a_tube_that_claims_too_little_is_caught(known_result, factor):
 def test_an_error_that_feeds_on_itself_has_no_velocity_tube():
     """With so much unknown drag the velocity bound would run away."""
     model = DragDoubleIntegrator(drag_estimate=0.1, drag_error_bound=0.2)
-    result = plan_problem(make_problem(model), Planner(intervals=24))
+    problem = make_problem(model)
+    result = plan_problem(problem, Planner(intervals=24))
     assert result.certified
     wild = dataclasses.replace(model, drag_error_bound=20.0)
-    problem = changed_problem(result.problem, model=wild)
+    problem = changed_problem(problem, model=wild)
     assert not certify(result.plan, problem).certified
 
 
-def test_the_claimed_tube_is_the_proven_one_but_for_the_tolerance(known_result):
+def test_the_claimed_tube_is_the_proven_one_but_for_the_tolerance(
+    known_result, known_problem
+):
     enclosure = enclose(
         known_result.plan,
-        known_result.problem,
+        known_problem,
         longest=2e-3,
         velocity_slack=TOP_TOLERANCE,
     )
@@ -186,24 +193,22 @@ def test_the_claimed_tube_is_the_proven_one_but_for_the_tolerance(known_result):
     assert enclosure.claim_excess.max() < TOP_TOLERANCE  # nor is it larger
 
 
-def test_a_grid_that_is_not_uniform_is_refused(known_result):
+def test_a_grid_that_is_not_uniform_is_refused(known_result, known_problem):
     plan = known_result.plan
     knots = plan.knots.copy()
     knots[3] += 0.01
     uneven = dataclasses.replace(plan, knots=knots)
-    certificate = certify(uneven, known_result.problem)
+    certificate = certify(uneven, known_problem)
     assert not certificate.certified
     assert "knots: must be equally spaced" in certificate.reason
     with pytest.raises(ValueError, match="equally spaced"):
-        enclose(
-            uneven, known_result.problem, longest=2e-3, velocity_slack=TOP_TOLERANCE
-        )
+        enclose(uneven, known_problem, longest=2e-3, velocity_slack=TOP_TOLERANCE)
 
 
 @pytest.mark.parametrize("margin", ["norm", "support"])
 @given(seed=st.integers(0, 2**31))
 def test_the_clearance_bound_is_below_any_sample_for_any_shape(
-    known_result, margin, seed
+    known_result, known_problem, margin, seed
 ):
     """Obstacles of random shapes near the reference, grazing or cut by the tube."""
     g = np.random.default_rng(seed)
@@ -218,9 +223,7 @@ def test_the_clearance_bound_is_below_any_sample_for_any_shape(
         else:
             obstacles.append(Ellipsoid(center.tolist(), shape.tolist(), radius))
     stacked = ObstacleSet.stack(obstacles, 3)
-    problem = dataclasses.replace(
-        known_result.problem, obstacles=stacked, tube_margin=margin
-    )
+    problem = dataclasses.replace(known_problem, obstacles=stacked, tube_margin=margin)
     found = certify(plan, problem).margins["obstacles"].value
     time = np.linspace(0, 14, 20_001)
     dense = stacked.clearance(
@@ -252,9 +255,9 @@ def test_a_polynomial_stays_in_its_range(coefficients, step, parts):
 
 
 def test_no_plan_is_refused_for_a_hair_that_long_intervals_lose(
-    known_result: PlanningResult,
+    known_result: PlanningResult, known_problem: Problem
 ) -> None:
-    plan, problem = known_result.plan, known_result.problem
+    plan, problem = known_result.plan, known_problem
     time = plan.sample_times(1e-3)
     position, tube = plan.reference(time)[:, 0], plan.error_bound(time)[:, 0]
     true = problem.obstacles.clearance(position, tube, problem.tube_margin).min()

@@ -75,10 +75,10 @@ POISONED = {
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("method", POISONED)
 def test_a_model_that_is_not_finite_somewhere_has_no_certificate(
-    known_result, method, value
+    known_result, known_problem, method, value
 ):
     model = Poisoned(method, value)
-    problem = changed_problem(known_result.problem, model=model)
+    problem = changed_problem(known_problem, model=model)
     certificate = certify(known_result.plan, problem)
     assert not certificate.certified and not certificate.kept
     assert certificate.reason.startswith(UNKNOWN)
@@ -117,9 +117,11 @@ LIMITS = {
 
 
 @pytest.mark.parametrize("field", LIMITS)
-def test_a_limit_that_is_not_a_number_is_a_broken_one(known_result, field):
+def test_a_limit_that_is_not_a_number_is_a_broken_one(
+    known_result, known_problem, field
+):
     at_rest = {"layer": np.full(3, 0.3), "initial_error": np.zeros((2, 3))}
-    problem = known_result.problem
+    problem = known_problem
     of = problem.law if hasattr(problem.law, field) else problem
     value = at_rest[field] if field in at_rest else getattr(of, field)
     poisoned = np.array(value, dtype=float)
@@ -135,29 +137,33 @@ def test_a_limit_that_is_not_a_number_is_a_broken_one(known_result, field):
 
 
 @pytest.mark.parametrize("field", ["input_limit", "speed_limit", "bandwidth_rate_max"])
-def test_an_infinite_limit_is_no_limit_that_can_be_kept(known_result, field):
-    problem = dataclasses.replace(known_result.problem, **{field: math.inf})
+def test_an_infinite_limit_is_no_limit_that_can_be_kept(
+    known_result, known_problem, field
+):
+    problem = dataclasses.replace(known_problem, **{field: math.inf})
     certificate = certify(known_result.plan, problem)
     assert not certificate.certified
     assert certificate.reason.startswith("infinite in ")
 
 
 @pytest.mark.parametrize("field", ["shape", "center", "radius"])
-def test_an_obstacle_that_is_not_a_number_is_not_passed(known_result, field):
-    obstacles = known_result.problem.obstacles
+def test_an_obstacle_that_is_not_a_number_is_not_passed(
+    known_result, known_problem, field
+):
+    obstacles = known_problem.obstacles
     array = getattr(obstacles, field).copy()
     array[2] = np.nan
     poisoned = dataclasses.replace(obstacles, **{field: array})
-    problem = dataclasses.replace(known_result.problem, obstacles=poisoned)
+    problem = dataclasses.replace(known_problem, obstacles=poisoned)
     certificate = certify(known_result.plan, problem)
     assert not certificate.certified
     assert certificate.reason.startswith("not a number in obstacles")
     assert "obstacle 2" in certificate.reason
 
 
-def test_without_obstacles_there_is_no_margin_of_that_name(known_result):
-    none = known_result.problem.obstacles.subset(np.zeros(5, dtype=bool))
-    problem = dataclasses.replace(known_result.problem, obstacles=none)
+def test_without_obstacles_there_is_no_margin_of_that_name(known_result, known_problem):
+    none = known_problem.obstacles.subset(np.zeros(5, dtype=bool))
+    problem = dataclasses.replace(known_problem, obstacles=none)
     certificate = certify(known_result.plan, problem)
     assert certificate.certified
     assert "obstacles" not in certificate.margins
@@ -193,9 +199,11 @@ FIELDS = [field.name for field in dataclasses.fields(Plan)]
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 @pytest.mark.parametrize("field", FIELDS)
-def test_an_array_that_is_not_finite_is_named(known_result, field, value):
+def test_an_array_that_is_not_finite_is_named(
+    known_result, known_problem, field, value
+):
     certificate = certify(
-        changed(known_result.plan, **{field: put(5, value)}), known_result.problem
+        changed(known_result.plan, **{field: put(5, value)}), known_problem
     )
     assert not certificate.certified
     assert certificate.reason.startswith(f"{field}: ")
@@ -203,9 +211,9 @@ def test_an_array_that_is_not_finite_is_named(known_result, field, value):
 
 
 @pytest.mark.parametrize("field", FIELDS)
-def test_an_array_of_another_shape_is_named(known_result, field):
+def test_an_array_of_another_shape_is_named(known_result, known_problem, field):
     cut = changed(known_result.plan, **{field: lambda a: a[:-1]})
-    certificate = certify(cut, known_result.problem)
+    certificate = certify(cut, known_problem)
     assert not certificate.certified
     # Times give the others their shape, so those are named in their stead.
     assert ":" in certificate.reason and "shape" in certificate.reason
@@ -258,9 +266,9 @@ PLANTED = {
 
 
 @pytest.mark.parametrize("fault", PLANTED)
-def test_a_planted_fault_is_found_and_named(known_result, fault):
+def test_a_planted_fault_is_found_and_named(known_result, known_problem, fault):
     changes, words = PLANTED[fault]
-    certificate = certify(changed(known_result.plan, **changes), known_result.problem)
+    certificate = certify(changed(known_result.plan, **changes), known_problem)
     assert not certificate.certified
     name = words[0]
     assert not certificate.margins[name].kept
@@ -276,14 +284,16 @@ HAND_OVER = {
 
 
 @pytest.mark.parametrize("field", HAND_OVER)
-def test_what_a_hand_over_asks_for_is_part_of_the_proof(known_result, field):
+def test_what_a_hand_over_asks_for_is_part_of_the_proof(
+    known_result, known_problem, field
+):
     plan, name = known_result.plan, HAND_OVER[field][0]
     asked = {
         "start_highest": plan.reference(0.0)[2],
         "start_bandwidth": plan.bandwidth(0.0),
         "layer": plan.boundary_layer(0.0),
     }
-    problem = changed_problem(known_result.problem, **asked)
+    problem = changed_problem(known_problem, **asked)
     assert certify(plan, problem).certified
     wrong = changed_problem(problem, **{field: asked[field] + HAND_OVER[field][1]})
     certificate = certify(plan, wrong)
@@ -388,14 +398,13 @@ def test_a_layer_of_cubics_breaks_the_rate_and_is_caught():
 
 
 def test_where_the_model_error_varies_the_rate_is_that_of_the_knots():
-    result = plan_problem(
-        make_problem(DragDoubleIntegrator(0.1, 0.1)), Planner(intervals=24)
-    )
+    problem = make_problem(DragDoubleIntegrator(0.1, 0.1))
+    result = plan_problem(problem, Planner(intervals=24))
     assert result.certified
     assert "bandwidth_knots_rate" in result.certificate.margins
     assert "bandwidth_rate" not in result.certificate.margins
     # And the implied one is near it for all times.
-    plan, problem = result.plan, result.problem
+    plan = result.plan
     time = plan.sample_times(1e-3)
     layer, rate = plan.layer(time)
     model_error = problem.model.model_error_bound(plan.reference(time)[:, :2])
@@ -481,8 +490,8 @@ def dense_complaints(plan: Plan, problem: Problem) -> list[str]:
     return found
 
 
-def test_the_plan_itself_has_nothing_against_it(known_result):
-    assert dense_complaints(known_result.plan, known_result.problem) == []
+def test_the_plan_itself_has_nothing_against_it(known_result, known_problem):
+    assert dense_complaints(known_result.plan, known_problem) == []
 
 
 KINDS = ("nan", "infinity", "entry", "noise", "swap", "scale", "row")
@@ -496,7 +505,12 @@ KINDS = ("nan", "infinity", "entry", "noise", "swap", "scale", "row")
     seed=st.integers(0, 2**31),
 )
 def test_a_perturbed_plan_is_certified_truly_or_refused_by_name(
-    known_result: PlanningResult, field: str, kind: str, size: float, seed: int
+    known_result: PlanningResult,
+    known_problem: Problem,
+    field: str,
+    kind: str,
+    size: float,
+    seed: int,
 ):
     g = np.random.default_rng(seed)
     array = getattr(known_result.plan, field).copy()
@@ -517,9 +531,9 @@ def test_a_perturbed_plan_is_certified_truly_or_refused_by_name(
     else:
         array = np.delete(array, entry[0], axis=0)
     plan = dataclasses.replace(known_result.plan, **{field: array})
-    certificate = certify(plan, known_result.problem)
+    certificate = certify(plan, known_problem)
     if certificate.certified:
-        assert dense_complaints(plan, known_result.problem) == []
+        assert dense_complaints(plan, known_problem) == []
         return
     assert certificate.reason and "\n" not in certificate.reason
     if not certificate.faults:
@@ -528,7 +542,7 @@ def test_a_perturbed_plan_is_certified_truly_or_refused_by_name(
     assert "sampled" not in certificate.reason
 
 
-def test_some_perturbations_are_certified(known_result):
+def test_some_perturbations_are_certified(known_result, known_problem):
     """Else the claim above would be empty."""
     plan = known_result.plan
     wider = dataclasses.replace(plan, bound_samples=plan.bound_samples * 1.001)
@@ -537,4 +551,4 @@ def test_some_perturbations_are_certified(known_result):
         changed(plan, coefficients=add((slice(None), 0, 0), 1e-8)),
         changed(plan, bandwidth_knots=add((slice(None), 1), 1e-9)),
     ):
-        assert certify(harmless, known_result.problem).certified
+        assert certify(harmless, known_problem).certified

@@ -30,7 +30,7 @@ from typer.testing import CliRunner
 from dtmpc_drake.__main__ import app
 from dtmpc_drake.diagrams import (
     FlyTrials,
-    MakeClosedLoop,
+    MakeSideBySide,
     Simulate,
     SimulateTrials,
     draw_trials,
@@ -49,7 +49,7 @@ from dtmpc_drake.method.sliding import sliding_variable
 from dtmpc_drake.method.tube import TubeStart
 from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
 from dtmpc_drake.obstacles import Cylinder
-from dtmpc_drake.planning import plan
+from dtmpc_drake.planning import hold_plan, plan
 from dtmpc_drake.records.flight import Flight
 from dtmpc_drake.records.flights import Flights
 from dtmpc_drake.records.plan import Plan
@@ -66,13 +66,7 @@ from dtmpc_drake.scenario import (
     load_scenario,
 )
 from dtmpc_drake.scenario.error import ScenarioError
-from dtmpc_drake.systems import (
-    Plant,
-    SeedTrials,
-    SlidingModeTracker,
-    TrialNoise,
-    hold_plan,
-)
+from dtmpc_drake.systems import Plant, SeedTrials, SlidingModeTracker, TrialNoise
 from dtmpc_drake.visualization import plot_plan, plot_quantiles
 from tests.models_for_tests import PlanarOnSlope, ThirdOrderPlanar
 
@@ -305,7 +299,7 @@ def test_the_model_error_follows_the_state_within_its_bound(
     scenario = through(MODELS[model](), disturbance)
     chosen = planned(scenario)
     trials = draw_trials(scenario, range(20))
-    loop = MakeClosedLoop(scenario, plan=chosen, trials=trials)
+    loop = MakeSideBySide(scenario, plan=chosen, trials=trials)
     builder = DiagramBuilder()
     builder.AddSystem(loop)
     sinks = {
@@ -358,9 +352,10 @@ def test_trials_do_not_see_each_other() -> None:
     assert gradient[:3, :6].any()
 
 
-def test_trials_need_a_plan(flown: tuple[Scenario, Plan]) -> None:
-    with pytest.raises(ValueError, match="a given plan"):
-        MakeClosedLoop(flown[0], trials=draw_trials(flown[0], range(2)))
+def test_trials_fly_one_plan(flown: tuple[Scenario, Plan]) -> None:
+    again = load_scenario("receding_horizon")
+    with pytest.raises(ScenarioError, match="many trials fly one plan"):
+        MakeSideBySide(again, plan=flown[1], trials=draw_trials(again, range(2)))
 
 
 @pytest.mark.parametrize("disturbance", KINDS)

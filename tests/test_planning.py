@@ -72,8 +72,8 @@ def test_known_environment_is_certified_and_a_stranger_agrees(known, tmp_path):
     np.testing.assert_allclose(saved["position"][-1], scenario.goal.position, atol=1e-6)
 
 
-def test_the_tube_obeys_its_differential_equations(known):
-    problem = known.problem
+def test_the_tube_obeys_its_differential_equations(known, known_problem):
+    problem = known_problem
     s = known.plan.sample()
     step = s["time"][1] - s["time"][0]
     forcing = problem.law.forcing_of(0.0)
@@ -137,11 +137,11 @@ def test_a_warm_start_keeps_the_certificate_in_fewer_iterations(known):
     assert len(warm.history) < len(known.history)
 
 
-def test_a_plan_may_start_on_the_way_with_an_open_tube(known):
+def test_a_plan_may_start_on_the_way_with_an_open_tube(known, known_problem):
     time = 1.0
     reference = known.plan.reference(time)
     problem = changed_problem(
-        known.problem,
+        known_problem,
         start_time=time,
         duration=known.plan.end_time - time,
         start=reference[:2],
@@ -192,17 +192,18 @@ def test_an_obstacle_between_two_knots_is_caught(known):
         ("disturbance_bound", np.full(3, 1.0), "tube"),
     ],
 )
-def test_every_broken_limit_is_caught(known, field, value, name):
-    problem = changed_problem(known.problem, **{field: value})
+def test_every_broken_limit_is_caught(known, known_problem, field, value, name):
+    problem = changed_problem(known_problem, **{field: value})
     certificate = certify(known.plan, problem)
     assert not certificate.certified
     assert certificate.margins[name].value < 0
 
 
-def test_margins_are_lower_bounds_of_dense_samples(known, uncertain):
+def test_margins_are_lower_bounds_of_dense_samples(known, uncertain, known_problem):
+    obstacles = known_problem.obstacles  # of both experiments
     for result in (known, uncertain):
         time = np.linspace(0, result.plan.end_time, 50_001)
-        dense = result.problem.obstacles.clearance(
+        dense = obstacles.clearance(
             result.plan.reference(time)[:, 0], result.plan.position_tube(time)
         ).min()
         margin = result.certificate.margins["obstacles"].value

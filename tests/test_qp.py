@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 import pytest
 
+from dtmpc_drake.planning.deadline import Deadline
 from dtmpc_drake.planning.scp import clarabel as qp
 from dtmpc_drake.planning.scp.clarabel import Layout, QuadraticProgram, Window, borrowed
 from dtmpc_drake.planning.scp.rows import Rows
@@ -144,3 +147,14 @@ def test_a_program_is_used_again_but_never_by_two_at_once():
         with borrowed(Layout(size, (("all", Window(0, 3, 3, 1)),))):
             pass
     assert len(qp._waiting) <= qp.WAITING
+
+
+def test_what_drake_says_of_a_program_is_dropped_only_while_it_is_solved(caplog):
+    program, _ = mis_scaled(0)
+    logger = logging.getLogger("drake")
+    with caplog.at_level(logging.DEBUG, logger="drake"):
+        late = program.solve(accuracy=1e-9, deadline=Deadline.after(0.0))
+        assert late.status == "MaxTime"  # of which Drake would tell
+        logger.info("Clarabel returns, says somebody else")
+    assert caplog.messages == ["Clarabel returns, says somebody else"]
+    assert logger.filters == []

@@ -426,17 +426,17 @@ def test_a_carried_start_is_that_of_the_tube_that_opens_at_the_measurement(
         disturbance=WorstCase(bound=[0.1] * 2),
         plant={},
     )
-    flown = plan(scenario)
+    flown, first = plan(scenario), Problem.from_scenario(scenario)
     assert flown.certified and flown.plan is not None
     error = 0.2 * flown.plan.error_bound(2.0) * [1.0, -1.0]
     state = flown.plan.reference(2.0)[:order] + error
     kept = {"measured_at": 2.0, "state": state}
-    now = carried_start(flown.plan, flown.problem, until=2.0, **kept)
+    now = carried_start(flown.plan, first, until=2.0, **kept)
     np.testing.assert_allclose(now.highest, np.abs(error[-1]))
     if order > 1:
         np.testing.assert_allclose(now.stages[0], np.abs(error[0]))
-    problem = problem_on_the_way(flown.problem, flown.plan, start=2.5, **kept)
-    opened = carried_start(flown.plan, flown.problem, until=2.5, **kept)
+    problem = problem_on_the_way(first, flown.plan, start=2.5, **kept)
+    opened = carried_start(flown.plan, first, until=2.5, **kept)
     np.testing.assert_array_equal(problem.tube_start.stages, opened.stages)
     np.testing.assert_array_equal(problem.tube_start.highest, opened.highest)
     np.testing.assert_array_equal(opened.layer, flown.plan.boundary_layer(2.5))
@@ -523,8 +523,8 @@ def test_outside_of_its_layer_nothing_is_called_safe(known_result, share) -> Non
         assert f"|s|/Φ = {share:.3g} on axis 1" in decision.message
 
 
-def test_a_plan_may_be_asked_for_after_its_end(known_result) -> None:
+def test_a_plan_may_be_asked_for_after_its_end(known_result, known_problem) -> None:
     """It holds its last value, which is as clear as it was."""
-    plan, problem = known_result.plan, known_result.problem
+    plan, problem = known_result.plan, known_problem
     at_end = clearance_ahead(plan, problem, plan.end_time - 1e-3)
     assert clearance_ahead(plan, problem, plan.end_time + 5.0) == at_end

@@ -20,11 +20,10 @@ from dtmpc_drake.models import DragDoubleIntegrator
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.sampling import samples, step_times
 from dtmpc_drake.obstacles import Cylinder
-from dtmpc_drake.planning import plan
+from dtmpc_drake.planning import hold_plan, plan
 from dtmpc_drake.records.flight import Flight
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import BangBang, Planner, Scenario, Simulation, Waypoint
-from dtmpc_drake.systems import hold_plan
 from dtmpc_drake.visualization.style import drawn_period
 
 SHORT = Scenario(

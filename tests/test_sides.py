@@ -161,10 +161,10 @@ def test_sides_do_not_depend_on_the_direction_of_flight():
     assert [w.sides for w in ways(turned)] == [w.sides for w in ways(scenario)]
 
 
-def test_the_sides_of_a_plan_are_told_from_its_positions(known_result):
+def test_the_sides_of_a_plan_are_told_from_its_positions(known_result, known_problem):
     path = known_result.plan.reference(known_result.plan.sample_times())[:, 0]
     way = Way.along("-----", path)
-    assert sides_of(known_result.problem, way) == "RLRLR"
+    assert sides_of(known_problem, way) == "RLRLR"
 
 
 # What is chosen.
@@ -173,6 +173,11 @@ def test_the_sides_of_a_plan_are_told_from_its_positions(known_result):
 @pytest.fixture(scope="module")
 def best():
     return plan(load_scenario("best_side"))
+
+
+@pytest.fixture(scope="module")
+def best_problem():
+    return Problem.from_scenario(load_scenario("best_side"))
 
 
 def test_the_best_side_costs_less_than_half_of_the_straight_line(best, known_result):
@@ -207,9 +212,9 @@ def test_no_search_no_candidates(known_result):
     assert known_result.candidates == ()
 
 
-def test_the_result_does_not_depend_on_the_number_of_threads(best):
+def test_the_result_does_not_depend_on_the_number_of_threads(best, best_problem):
     settings = load_scenario("best_side").planner
-    alone = plan_best_side(best.problem, settings, plan_problem, threads=1)
+    alone = plan_best_side(best_problem, settings, plan_problem, threads=1)
     np.testing.assert_array_equal(alone.plan.coefficients, best.plan.coefficients)
     np.testing.assert_array_equal(alone.plan.bandwidth_knots, best.plan.bandwidth_knots)
     assert alone.candidates_table() == best.candidates_table()
@@ -343,9 +348,9 @@ def settings(budget: float = 0.4):
     )
 
 
-def test_a_good_plan_is_kept_when_planning_again(best):
+def test_a_good_plan_is_kept_when_planning_again(best, best_problem):
     again = plan_problem(
-        on_the_way(best.plan, best.problem, 2.0), settings(), warm_start=best.plan
+        on_the_way(best.plan, best_problem, 2.0), settings(), warm_start=best.plan
     )
     assert again.certified
     assert [c.start for c in again.candidates if c.chosen] == ["earlier plan"]
@@ -355,9 +360,9 @@ def test_a_good_plan_is_kept_when_planning_again(best):
     )
 
 
-def test_a_dear_plan_is_left_for_a_clearly_cheaper_side(known_result):
+def test_a_dear_plan_is_left_for_a_clearly_cheaper_side(known_result, known_problem):
     """Before the first pair of pillars, the way through the gap is left."""
-    problem = on_the_way(known_result.plan, known_result.problem, 0.5)
+    problem = on_the_way(known_result.plan, known_problem, 0.5)
     again = plan_problem(problem, settings(1.0), warm_start=known_result.plan)
     assert again.certified
     earlier = next(c for c in again.candidates if c.start == "earlier plan")

@@ -18,6 +18,7 @@ from pydrake.systems.primitives import FirstOrderTaylorApproximation, Linearize
 from dtmpc_drake.method import sliding
 from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
 from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.planning import hold_plan
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import (
     BangBang,
@@ -42,7 +43,6 @@ from dtmpc_drake.systems import (
     SlidingModeTracker,
     SlidingModeTracker_,
     TubeMonitor,
-    hold_plan,
     tube_ratios,
 )
 

@@ -50,7 +50,7 @@ def short_plan():
 
 # The record.
 
-LARGEST = verdict.largest_kept(input_limit=5.0, speed_limit=2.0)
+LIMITS = Limits(input=5.0, speed=2.0)
 KEPT = np.array([0.0, 0.5, 0.5, 0.5, -0.1, 1.0, 1.0])
 
 
@@ -63,13 +63,13 @@ def looks(values) -> np.ndarray:
             time=float(time),
             value=np.array(value, dtype=float),
             where=lambda: np.zeros(7),
-            largest=LARGEST,
+            largest=verdict.largest_kept(LIMITS),
         )
     return record
 
 
 def words(values) -> str:
-    found = verdict.breaches(looks(values), largest=LARGEST, order=2)
+    found = verdict.breaches(looks(values), limits=LIMITS, order=2)
     return verdict.in_one_line(found) if found else ""
 
 
@@ -203,7 +203,7 @@ def test_the_last_instant_is_seen(short_plan):
 
 def test_a_state_that_was_not_a_number_once_stays_so(short_plan):
     record = monitored(short_plan, start=0.5, end=0.51, value=np.nan)
-    found = verdict.breaches(record, largest=LARGEST, order=2)
+    found = verdict.breaches(record, limits=LIMITS, order=2)
     assert found[0].what == "not_finite"
     assert verdict.extremes(record)["worst_position_ratio"] == np.inf
 

@@ -1,12 +1,13 @@
 """Diagrams that are built from the systems, and their simulation."""
 
-from dtmpc_drake.diagrams.closed_loop import MakeClosedLoop
+from dtmpc_drake.diagrams.closed_loop import MakeClosedLoop, MakeSideBySide
 from dtmpc_drake.diagrams.simulate import FlyTrials, Simulate, SimulateTrials
 from dtmpc_drake.diagrams.trials import Trial, draw_trials
 
 __all__ = [
     "FlyTrials",
     "MakeClosedLoop",
+    "MakeSideBySide",
     "Simulate",
     "SimulateTrials",
     "Trial",

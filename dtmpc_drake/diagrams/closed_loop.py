@@ -1,13 +1,16 @@
-"""TODO."""
+"""The closed loop: how planner, tracker, plant, disturbance and monitor are wired.
+
+`MakeClosedLoop` is one flight, as it is planned and sensed; `MakeSideBySide` is many
+flights of one plan.  Both close the same loop.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from pydrake.geometry import Meshcat
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.framework import Diagram, DiagramBuilder, OutputPort, System
 
 from dtmpc_drake.diagrams.live_view import LiveView
 from dtmpc_drake.diagrams.trials import Trial
@@ -24,11 +27,7 @@ from dtmpc_drake.systems import (
 
 
 def MakeClosedLoop(
-    scenario: Scenario,
-    *,
-    plan: Plan | None = None,
-    trials: Sequence[Trial] | None = None,
-    meshcat: Meshcat | None = None,
+    scenario: Scenario, *, plan: Plan | None = None, meshcat: Meshcat | None = None
 ) -> Diagram:
     """The diagram of a scenario.
 
@@ -36,10 +35,7 @@ def MakeClosedLoop(
         scenario: the whole experiment; the diagram's default Context is its
             start (apart from randomness, which `SetRandomContext` seeds).
         plan: to fly instead of planning at the start.
-        trials: to fly a plan many times side by side, each with its own true
-            parameters; `state`, `control`, `disturbance`, `tube_ratios` and
-            `clearance` then have one more axis in front.
-        meshcat: to watch the simulation of a single flight in, if given.
+        meshcat: to watch the simulation in, if given.
 
     Returns:
         A diagram named ``closed_loop`` that exports the output ports `state`,
@@ -47,96 +43,144 @@ def MakeClosedLoop(
         `clearance`, `quantities` and `record`; if there may be more plans than one,
         `known_since` and `replans`, too; if the disturbance chooses it,
         `model_error`.  See the systems for their meaning.
+    """
+    builder = DiagramBuilder()
+    plant = Plant.AddToBuilder(
+        builder=builder,
+        model=scenario.model,
+        parameters=scenario.plant_parameters(),
+        initial_state=scenario.start_state() + scenario.initial_error_state(),
+    )
+    state = plant.GetOutputPort("state")
+    sensor = measured = None
+    if scenario.is_receding:
+        sensor = ObstacleSensor.AddToBuilder(
+            builder=builder, scenario=scenario, state=state
+        )
+        measured = sensor.GetOutputPort("measured_obstacles")
+    planner = DtmpcPlanner.AddToBuilder(
+        builder=builder,
+        scenario=scenario,
+        plan=plan,
+        state=state,
+        measured_obstacles=measured,
+    )
+    disturbance = MakeDisturbance(
+        scenario.disturbance,
+        model=scenario.model,
+        slope=scenario.slope(),
+        duration=scenario.duration,
+    )
+    outputs = _close(builder, scenario, plant, planner, disturbance)
+    if sensor is not None:
+        outputs["known_since"] = sensor.GetOutputPort("known_since")
+        outputs["replans"] = planner.GetOutputPort("replans")
+    if meshcat is not None:
+        LiveView.AddToBuilder(
+            builder=builder,
+            scenario=scenario,
+            meshcat=meshcat,
+            state=state,
+            plan=outputs["plan"],
+        )
+    return _built(builder, outputs)
+
+
+def MakeSideBySide(
+    scenario: Scenario, *, plan: Plan, trials: Sequence[Trial]
+) -> Diagram:
+    """The diagram of many trials that fly one plan side by side.
+
+    Args:
+        scenario: the whole experiment, with one plan.
+        plan: to fly.
+        trials: at least one; each has its own true parameters, initial error and
+            disturbance.
+
+    Returns:
+        A diagram as from `MakeClosedLoop`, where `state`, `control`, `disturbance`,
+        `model_error`, `tube_ratios`, `clearance`, `quantities` and `record` have one
+        more axis in front.
 
     Raises:
-        ValueError: if trials come without a plan or with a Meshcat, or with a
-            scenario that asks for plans on the way.
+        ScenarioError: if the scenario asks for plans on the way.
     """
-    model = scenario.model
-    parameters: dict[str, Any] = dict(scenario.plant_parameters())
-    initial_error = scenario.initial_error_state()
-    count = disturbances = None
-    if trials is not None:
-        if plan is None or meshcat is not None:
-            raise ValueError("trials: they fly a given plan, and are not shown")
-        scenario.require_one_plan()
-        count = len(trials)
-        for name in parameters:
-            parameters[name] = [trial.parameters[name] for trial in trials]
-        own = [trial.scenario(scenario) for trial in trials]
-        initial_error = np.stack([one.initial_error_state() for one in own])
-        disturbances = [one.disturbance for one in own]
+    scenario.require_one_plan()
+    own = [trial.scenario(scenario) for trial in trials]
+    initial_error = np.stack([one.initial_error_state() for one in own])
     builder = DiagramBuilder()
-    plant = builder.AddNamedSystem(
-        "plant",
-        Plant(
-            model=model,
-            parameters=parameters,
-            initial_state=scenario.start_state() + initial_error,
-            trials=count,
-        ),
+    plant = Plant.AddToBuilder(
+        builder=builder,
+        model=scenario.model,
+        parameters={
+            name: [trial.parameters[name] for trial in trials]
+            for name in scenario.plant_parameters()
+        },
+        initial_state=scenario.start_state() + initial_error,
+        trials=len(trials),
     )
-    planner = builder.AddNamedSystem(
-        "planner", DtmpcPlanner(scenario=scenario, plan=plan)
+    planner = DtmpcPlanner.AddToBuilder(builder=builder, scenario=scenario, plan=plan)
+    disturbance = MakeDisturbance(
+        scenario.disturbance,
+        model=scenario.model,
+        slope=scenario.slope(),
+        trials=[one.disturbance for one in own],
+        duration=scenario.duration,
     )
-    tracker = builder.AddNamedSystem(
-        "tracker", SlidingModeTracker(scenario=scenario, trials=count)
+    outputs = _close(builder, scenario, plant, planner, disturbance, trials=len(trials))
+    return _built(builder, outputs)
+
+
+def _close(
+    builder: DiagramBuilder,
+    scenario: Scenario,
+    plant: System,
+    planner: System,
+    disturbance: System,
+    *,
+    trials: int | None = None,
+) -> dict[str, OutputPort]:
+    """Adds tracker, disturbance and monitor, and closes the loop over the plant.
+
+    Returns:
+        The output ports to export, by name.
+    """
+    state, plan = plant.GetOutputPort("state"), planner.GetOutputPort("plan")
+    tracker = SlidingModeTracker.AddToBuilder(
+        builder=builder, scenario=scenario, state=state, plan=plan, trials=trials
     )
-    disturbance = builder.AddNamedSystem(
-        "disturbance",
-        MakeDisturbance(
-            scenario.disturbance,
-            model=model,
-            slope=scenario.slope(),
-            trials=disturbances,
-            duration=scenario.duration,
-        ),
-    )
+    builder.AddNamedSystem("disturbance", disturbance)
     outputs = {
-        "state": plant.GetOutputPort("state"),
+        "state": state,
         "control": tracker.GetOutputPort("control"),
         "reference": tracker.GetOutputPort("reference"),
-        "plan": planner.GetOutputPort("plan"),
+        "plan": plan,
         "status": planner.GetOutputPort("status"),
         "disturbance": disturbance.GetOutputPort("disturbance"),
     }
-    monitor = TubeMonitor.AddToBuilder(
-        builder=builder,
-        scenario=scenario,
-        state=outputs["state"],
-        plan=outputs["plan"],
-        control=outputs["control"],
-        trials=count,
-    )
-    for name in ("tube_ratios", "clearance", "quantities", "record"):
-        outputs[name] = monitor.GetOutputPort(name)
-
-    if trials is None:
-        builder.Connect(outputs["state"], planner.GetInputPort("state"))
-        if scenario.is_receding:
-            sensor = builder.AddNamedSystem(
-                "obstacle_sensor", ObstacleSensor(scenario=scenario)
-            )
-            builder.Connect(outputs["state"], sensor.GetInputPort("state"))
-            measured = sensor.GetOutputPort("measured_obstacles")
-            builder.Connect(measured, planner.GetInputPort("measured_obstacles"))
-            outputs["known_since"] = sensor.GetOutputPort("known_since")
-            outputs["replans"] = planner.GetOutputPort("replans")
-    builder.Connect(outputs["state"], tracker.GetInputPort("state"))
-    builder.Connect(outputs["plan"], tracker.GetInputPort("plan"))
-    builder.Connect(outputs["control"], plant.GetInputPort("control"))
-    builder.Connect(outputs["disturbance"], plant.GetInputPort("disturbance"))
     if disturbance.HasOutputPort("model_error"):
         outputs["model_error"] = disturbance.GetOutputPort("model_error")
-        builder.Connect(outputs["model_error"], plant.GetInputPort("model_error"))
     for name in ("state", "reference"):  # only the hardest look at them
         if disturbance.HasInputPort(name):
             builder.Connect(outputs[name], disturbance.GetInputPort(name))
-    if meshcat is not None:
-        view = LiveView(scenario=scenario, meshcat=meshcat)
-        builder.AddNamedSystem("live_view", view)
-        for name in ("state", "plan"):
-            builder.Connect(outputs[name], view.GetInputPort(name))
+    monitor = TubeMonitor.AddToBuilder(
+        builder=builder,
+        scenario=scenario,
+        state=state,
+        plan=plan,
+        control=outputs["control"],
+        trials=trials,
+    )
+    for name in ("tube_ratios", "clearance", "quantities", "record"):
+        outputs[name] = monitor.GetOutputPort(name)
+    for name in ("control", "disturbance", "model_error"):
+        if name in outputs:
+            builder.Connect(outputs[name], plant.GetInputPort(name))
+    return outputs
+
+
+def _built(builder: DiagramBuilder, outputs: dict[str, OutputPort]) -> Diagram:
+    """The diagram, with these ports exported."""
     for name, port in outputs.items():
         builder.ExportOutput(port, name)
     diagram = builder.Build()

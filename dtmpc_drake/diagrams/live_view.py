@@ -6,10 +6,16 @@ from typing import Any
 
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import EventStatus, LeafSystem
+from pydrake.systems.framework import (
+    DiagramBuilder,
+    EventStatus,
+    LeafSystem,
+    OutputPort,
+)
 
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.systems.plan_port import DeclarePlanInputPort, EvalPlan
+from dtmpc_drake.systems.wiring import AddConnected
 from dtmpc_drake.visualization.geometry import embedding
 from dtmpc_drake.visualization.replay import ROOT, add_scene, add_tube
 
@@ -47,6 +53,34 @@ class LiveView(LeafSystem):
         self._plan = DeclarePlanInputPort(self)
         self.DeclareInitializationPublishEvent(self._draw)
         self.DeclarePeriodicPublishEvent(publish_period, 0.0, self._move)
+
+    @staticmethod
+    def AddToBuilder(
+        *,
+        builder: DiagramBuilder,
+        scenario: Scenario,
+        meshcat: Meshcat,
+        state: OutputPort,
+        plan: OutputPort,
+        publish_period: float = 1 / 32,
+    ) -> LiveView:
+        """Adds a view to a diagram and connects it.
+
+        Args:
+            builder: the DiagramBuilder.
+            scenario: as in the constructor.
+            meshcat: as in the constructor.
+            state: output port that gives the plant's state.
+            plan: output port that gives the plan.
+            publish_period: as in the constructor.
+
+        Returns:
+            The view, named ``live_view``.
+        """
+        view = LiveView(
+            scenario=scenario, meshcat=meshcat, publish_period=publish_period
+        )
+        return AddConnected(builder, "live_view", view, {"state": state, "plan": plan})
 
     def _draw(self, context: Any) -> EventStatus:
         self._drawn = EvalPlan(self._plan, context)

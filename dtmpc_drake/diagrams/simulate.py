@@ -9,7 +9,7 @@ from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram, EventStatus
 
-from dtmpc_drake.diagrams.closed_loop import MakeClosedLoop
+from dtmpc_drake.diagrams.closed_loop import MakeClosedLoop, MakeSideBySide
 from dtmpc_drake.diagrams.recorder import Recorder
 from dtmpc_drake.diagrams.trials import Trial
 from dtmpc_drake.numerics.arrays import Array
@@ -19,9 +19,7 @@ from dtmpc_drake.records.flight import LOGGED, Flight
 from dtmpc_drake.records.flights import Flights
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import Scenario
-from dtmpc_drake.systems import (
-    SeedTrials,
-)
+from dtmpc_drake.systems import SeedTrials
 
 Progress = Callable[[float], None]
 """Is called with the time of a flight, in s, after every step of its grid."""
@@ -111,7 +109,7 @@ def _side_by_side(
 ) -> tuple[Diagram, Context]:
     """The loop of many trials, and its Context with the seed of each."""
     scenario.require_stable_simulation()
-    loop = MakeClosedLoop(scenario, plan=plan, trials=trials)
+    loop = MakeSideBySide(scenario, plan=plan, trials=trials)
     context = loop.CreateDefaultContext()
     disturbance = loop.GetSubsystemByName("disturbance")
     SeedTrials(disturbance, context, [trial.seed for trial in trials])
@@ -133,7 +131,7 @@ def _steps(
 
     Args:
         scenario: gives the integrator and the end.
-        loop: from `MakeClosedLoop`.
+        loop: from `MakeClosedLoop` or `MakeSideBySide`.
         context: of the loop.
         look: is called at the start and after every step of the integrator, also
             where something else that happens has cut a step of the grid in two.
@@ -175,7 +173,7 @@ def _logged(
 
     Args:
         scenario: gives the integrator, the end and the period of the log.
-        loop: from `MakeClosedLoop`.
+        loop: from `MakeClosedLoop` or `MakeSideBySide`.
         context: of the loop, with its seed.
         lead: ``()``, or ``(trials,)``.
         progress: as for `Simulate`.

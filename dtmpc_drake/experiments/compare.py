@@ -84,7 +84,7 @@ class Row:
         }
         numbers |= dict.fromkeys(_OF_A_PLAN)
         if plan is not None:
-            part = bandwidth_cost(outcome.result)
+            part = bandwidth_cost(outcome.result, outcome.baseline.problem)
             tube = plan.position_tube(plan.sample_times())
             numbers |= {
                 "cost": outcome.result.cost,

@@ -1,12 +1,13 @@
-"""Piecewise polynomials and their ranges on short intervals."""
+"""Piecewise polynomials: their pieces, derivatives and ranges on short intervals."""
 
 from __future__ import annotations
 
 import dataclasses
-from functools import cached_property
-from math import factorial
+from functools import cached_property, lru_cache
+from math import comb, factorial
 
 import numpy as np
+import numpy.typing as npt
 
 from dtmpc_drake.numerics.arrays import Array
 
@@ -99,3 +100,50 @@ def hermite_powers(value: Array, rate: Array, step: float) -> Array:
         ],
         axis=1,
     )
+
+
+def cut(grid: Array, start: float, end: float) -> tuple[Array, npt.NDArray[np.intp]]:
+    """The part of a grid between two times, and the piece that each of its is of.
+
+    Pieces of less than a nanosecond are left out.
+    """
+    inner = (grid > start + 1e-9) & (grid < end - 1e-9)
+    times = np.concatenate([[start], grid[inner], [end]])
+    piece = np.searchsorted(grid, (times[:-1] + times[1:]) / 2, side="right") - 1
+    return times, np.clip(piece, 0, len(grid) - 2)
+
+
+def shifted(coefficients: Array, shift: float) -> Array:
+    """The same polynomial in powers of ``t - shift``, ``(powers, m)``."""
+    powers = len(coefficients)
+    return np.stack(
+        [
+            sum(
+                comb(p, k) * shift ** (p - k) * coefficients[p]
+                for p in range(k, powers)
+            )
+            for k in range(powers)
+        ]
+    )
+
+
+@lru_cache
+def power_derivatives(count: int, powers: int) -> tuple[Array, Array]:
+    """Factors and exponents of the derivatives of ``t^p``, ``(count, powers)`` each."""
+    factor, exponent = np.zeros((2, count, powers))
+    for k in range(count):
+        for p in range(k, powers):
+            factor[k, p] = factorial(p) / factorial(p - k)
+            exponent[k, p] = p - k
+    return factor, exponent
+
+
+def locate(grid: Array, time: Array | float) -> tuple[Array, npt.NDArray[np.intp]]:
+    """Time since the start of the piece, and the piece's index; clamped."""
+    if isinstance(time, float):  # a flight's look-ups, for which arrays are slow
+        t = min(max(time, grid[0]), grid[-1])
+        one = min(max(grid.searchsorted(t, side="right") - 1, 0), len(grid) - 2)
+        return np.asarray(t - grid[one]), np.asarray(one)
+    time = np.clip(np.asarray(time, dtype=float), grid[0], grid[-1])
+    piece = np.clip(np.searchsorted(grid, time, side="right") - 1, 0, len(grid) - 2)
+    return time - grid[piece], piece

@@ -1,6 +1,6 @@
 """From a scenario to a certified plan: the one function that plans."""
 
-from dtmpc_drake.method.margin import Margin
+from dtmpc_drake.planning.hold import hold_plan
 from dtmpc_drake.planning.planner import plan, plan_problem
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.planning.proof.certify import certify
@@ -17,6 +17,7 @@ __all__ = [
     "PlanningResult",
     "Problem",
     "certify",
+    "hold_plan",
     "plan",
     "plan_problem",
     "replan",

@@ -371,9 +371,9 @@ def with_fixed_bandwidth(plan: Plan, problem: Problem) -> Plan:
     )
 
 
-def bandwidth_cost(result: PlanningResult) -> float:
+def bandwidth_cost(result: PlanningResult, problem: Problem) -> float:
     """The part of a result's cost that pays for bandwidth; the rest is input."""
-    problem, plan = result.problem, result.attempt
+    plan = result.attempt
     if plan is None:
         return float("nan")
     excess = plan.bandwidth_knots - problem.bandwidth_floor

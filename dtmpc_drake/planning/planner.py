@@ -146,7 +146,6 @@ def plan_problem(
         history=tuple(history),
         times=times,
         backend=settings.backend,
-        problem=problem,
     )
 
 

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
 from dtmpc_drake.numerics.arrays import Array
-
-if TYPE_CHECKING:
-    pass
 
 STRAIGHT, EARLIER = "straight line", "earlier plan"
 NOT_TRIED, BLOCKED, SAME = "not tried", "blocked", "same"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +11,10 @@ import numpy as np
 
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.records import verdict
-from dtmpc_drake.records.plan import DAMAGE, Plan
+from dtmpc_drake.records.archive import DAMAGE, read_array, require_archive
+from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.records.replan import Replan, flown_plan
-from dtmpc_drake.records.saved_flight import (
-    check_arrays,
-    read_array,
-    read_replans,
-    read_status,
-)
+from dtmpc_drake.records.saved_flight import check_arrays, read_replans, read_status
 from dtmpc_drake.scenario import Scenario
 
 LOGGED = (
@@ -52,7 +47,7 @@ class Flight:
         tube_ratios: |s|/Φ, |ỹ|/Ω and |dỹ/dt|/W, ``(K, 3, m)``.
         clearance: to each obstacle, ``(K, obstacles)`` in m; one column of
             infinities without obstacles.
-        record: of `dtmpc_drake.verdict`, ``(6, 7)``: the worst of everything that was
+        record: of `records.verdict`, ``(6, 7)``: the worst of everything that was
             seen at any step of the integrator, and what broke first.
         status: of the planner at the end.
         known_since: when each obstacle became known, ``(obstacles,)`` in s;
@@ -100,9 +95,7 @@ class Flight:
         """
         return verdict.breaches(
             self.record,
-            largest=verdict.largest_kept(
-                input_limit=scenario.limits.input, speed_limit=scenario.limits.speed
-            ),
+            limits=scenario.limits,
             order=scenario.model.order,
             replans=self.replans,
         )
@@ -138,9 +131,7 @@ class Flight:
             ValueError: if the file is not a saved log, or anything in it is wrong;
                 it names the file and the field.
         """
-        with open(path, "rb") as file:
-            if not zipfile.is_zipfile(file):
-                raise ValueError(f"{path}: not a saved log (not an .npz file)")
+        require_archive(path, "log")
         reading = "the archive: "
         try:
             with np.load(path, allow_pickle=False) as data:

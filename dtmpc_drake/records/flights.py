@@ -19,9 +19,6 @@ RATIOS = ("layer", "position", "velocity")
 """What |s|/Φ, |ỹ|/Ω and |dỹ/dt|/W are shares of."""
 
 
-# Judging.
-
-
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Flights:
     """What is kept of T trials that flew one plan through one disturbance.
@@ -30,7 +27,7 @@ class Flights:
         index: numbers of the trials, ``(T,)``.
         seed: of each trial, ``(T,)``.
         parameters: true parameters by name, ``(T,)`` each.
-        record: of `dtmpc_drake.verdict`, ``(T, 6, 7)``: the worst of everything that
+        record: of `records.verdict`, ``(T, 6, 7)``: the worst of everything that
             was seen at any step of the integrator, and what broke first.
         effort: ∫‖u‖² dt, ``(T,)``.
         time: ``(K,)``, in s, `REPORT_PERIOD` apart, or the scenario's log period if

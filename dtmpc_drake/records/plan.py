@@ -3,43 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import lzma
-import struct
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import pairwise
-from math import comb, factorial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from dtmpc_drake.numerics.arrays import FloatArray
+from dtmpc_drake.numerics.polynomials import cut, locate, power_derivatives, shifted
+from dtmpc_drake.records.archive import DAMAGE, require_archive
 
 _SAMPLE_PERIOD = 0.005  # of a saved plan, in s
 _JUMP = 1e-6  # in which joined plans change their tubes, in s
-DAMAGE: tuple[type[Exception], ...] = (
-    ValueError,  # a pickle, too
-    OSError,
-    EOFError,
-    KeyError,
-    MemoryError,
-    NotImplementedError,
-    RuntimeError,
-    OverflowError,  # this and the next three: a header of an array that is none
-    SyntaxError,
-    TypeError,
-    tokenize.TokenError,
-    struct.error,
-    lzma.LZMAError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
-"""What reading a damaged archive raises."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -51,7 +28,7 @@ class Plan:
     same knots.  The tube that follows from both is kept on a finer grid.  Φ* is a
     polynomial on each of its steps, and `boundary_layer_rate` is the exact
     derivative, which is all that the invariance of the layer needs; the bandwidth
-    that it implies is α (see `dtmpc_drake.layer`).  The bounds of the errors are
+    that it implies is α (see `dtmpc_drake.method.layer`).  The bounds of the errors are
     cubic Hermite pieces.
 
     Outside ``[start_time, end_time]`` a plan holds its first or last value.
@@ -128,14 +105,14 @@ class Plan:
         Returns:
             Shape ``(..., n + 1, m)``; row k is the k-th derivative.
         """
-        t, piece = _locate(self.knots, time)
-        factor, exponent = _derivatives(self.order + 1, self.coefficients.shape[1])
+        t, piece = locate(self.knots, time)
+        factor, exponent = power_derivatives(self.order + 1, self.coefficients.shape[1])
         basis = factor * t[..., None, None] ** exponent
         return np.asarray(basis @ self.coefficients[piece])
 
     def bandwidth(self, time: FloatArray | float) -> FloatArray:
         """α*, shape ``(..., m)``, in rad/s."""
-        t, piece = _locate(self.knots, time)
+        t, piece = locate(self.knots, time)
         weight = (t / np.diff(self.knots)[piece])[..., None]
         start, end = self.bandwidth_knots[piece], self.bandwidth_knots[piece + 1]
         return np.asarray((1 - weight) * start + weight * end)
@@ -150,8 +127,8 @@ class Plan:
 
     def layer(self, time: FloatArray | float) -> tuple[FloatArray, FloatArray]:
         """Φ* and dΦ*/dt in one look-up."""
-        t, step = _locate(self.tube_times, time)
-        factor, exponent = _derivatives(2, self.layer_coefficients.shape[1])
+        t, step = locate(self.tube_times, time)
+        factor, exponent = power_derivatives(2, self.layer_coefficients.shape[1])
         basis = factor * t[..., None, None] ** exponent
         both = basis @ self.layer_coefficients[step]
         return both[..., 0, :], both[..., 1, :]
@@ -172,7 +149,7 @@ class Plan:
         self, time: FloatArray | float
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The share of a step of the tube that is over, its cubic and its length."""
-        t, step = _locate(self.tube_times, time)
+        t, step = locate(self.tube_times, time)
         length, cubics = self._bound_cubics
         h = length[step].reshape(*t.shape, 1, 1)
         return t.reshape(h.shape) / h, cubics[step], h
@@ -202,13 +179,13 @@ class Plan:
             start: in s, within the plan.
             end: in s, within the plan and after `start`.
         """
-        knots, piece = _cut(self.knots, start, end)
+        knots, piece = cut(self.knots, start, end)
         shift = start - self.knots[piece[0]]
         coefficients = self.coefficients[piece].copy()
-        coefficients[0] = _shifted(coefficients[0], shift)
-        grid, step = _cut(self.tube_times, start, end)
+        coefficients[0] = shifted(coefficients[0], shift)
+        grid, step = cut(self.tube_times, start, end)
         layer = self.layer_coefficients[step].copy()
-        layer[0] = _shifted(layer[0], start - self.tube_times[step[0]])
+        layer[0] = shifted(layer[0], start - self.tube_times[step[0]])
         return Plan(
             knots=knots,
             coefficients=coefficients,
@@ -270,9 +247,7 @@ class Plan:
             ValueError: if the file is not a saved plan, or anything in it is wrong;
                 it names the file and the field.
         """
-        with open(path, "rb") as file:
-            if not zipfile.is_zipfile(file):
-                raise ValueError(f"{path}: not a saved plan (not an .npz file)")
+        require_archive(path, "plan")
         arrays: dict[str, Any] = {}
         reading = "the archive"
         try:
@@ -404,7 +379,7 @@ def join(plans: Sequence[Plan], times: Sequence[float]) -> Plan:
     layers = [parts[0].layer_coefficients]
     for before, after in pairwise(parts):
         length = before.tube_times[-1] - before.tube_times[-2]
-        layers.append(_shifted(before.layer_coefficients[-1], length)[None])
+        layers.append(shifted(before.layer_coefficients[-1], length)[None])
         layers.append(after.layer_coefficients)
     return Plan(
         knots=stacked("knots", drop=1),
@@ -415,54 +390,3 @@ def join(plans: Sequence[Plan], times: Sequence[float]) -> Plan:
         bound_samples=stacked("bound_samples"),
         bound_rate_samples=stacked("bound_rate_samples"),
     )
-
-
-def _cut(
-    grid: FloatArray, start: float, end: float
-) -> tuple[FloatArray, npt.NDArray[np.intp]]:
-    """The part of a grid between two times, and the piece that each of its is of.
-
-    Pieces of less than a nanosecond are left out.
-    """
-    inner = (grid > start + 1e-9) & (grid < end - 1e-9)
-    times = np.concatenate([[start], grid[inner], [end]])
-    piece = np.searchsorted(grid, (times[:-1] + times[1:]) / 2, side="right") - 1
-    return times, np.clip(piece, 0, len(grid) - 2)
-
-
-def _shifted(coefficients: FloatArray, shift: float) -> FloatArray:
-    """The same polynomial in powers of ``t - shift``, ``(powers, m)``."""
-    powers = len(coefficients)
-    return np.stack(
-        [
-            sum(
-                comb(p, k) * shift ** (p - k) * coefficients[p]
-                for p in range(k, powers)
-            )
-            for k in range(powers)
-        ]
-    )
-
-
-@lru_cache
-def _derivatives(count: int, powers: int) -> tuple[FloatArray, FloatArray]:
-    """Factors and exponents of the derivatives of ``t^p``, ``(count, powers)`` each."""
-    factor, exponent = np.zeros((2, count, powers))
-    for k in range(count):
-        for p in range(k, powers):
-            factor[k, p] = factorial(p) / factorial(p - k)
-            exponent[k, p] = p - k
-    return factor, exponent
-
-
-def _locate(
-    grid: FloatArray, time: FloatArray | float
-) -> tuple[FloatArray, npt.NDArray[np.intp]]:
-    """Time since the start of the piece, and the piece's index; clamped."""
-    if isinstance(time, float):  # a flight's look-ups, for which arrays are slow
-        t = min(max(time, grid[0]), grid[-1])
-        one = min(max(grid.searchsorted(t, side="right") - 1, 0), len(grid) - 2)
-        return np.asarray(t - grid[one]), np.asarray(one)
-    time = np.clip(np.asarray(time, dtype=float), grid[0], grid[-1])
-    piece = np.clip(np.searchsorted(grid, time, side="right") - 1, 0, len(grid) - 2)
-    return time - grid[piece], piece

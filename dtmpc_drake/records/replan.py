@@ -47,6 +47,22 @@ class Replan:
     plan: Plan | None = dataclasses.field(compare=False)
     solve_time: float = dataclasses.field(compare=False)
 
+    @classmethod
+    def given(cls, plan: Plan) -> Replan:
+        """The record of a plan that was given at the start, not made."""
+        return cls(
+            time=0.0,
+            hand_over=0.0,
+            cause="start",
+            revealed=(),
+            status="given",
+            message="",
+            iterations=0,
+            cost=None,
+            plan=plan,
+            solve_time=0.0,
+        )
+
     def summary(self) -> dict[str, Any]:
         """Everything but the plan, as plain numbers and texts."""
         names = [f.name for f in dataclasses.fields(self) if f.name != "plan"]
@@ -70,7 +86,7 @@ class Replan:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Shown:
+class PlanInForce:
     """A plan while it is in force.
 
     Attributes:
@@ -86,19 +102,19 @@ class Shown:
     replan: Replan
 
 
-def plans_in_force(replans: Sequence[Replan]) -> list[Shown]:
+def plans_in_force(replans: Sequence[Replan]) -> list[PlanInForce]:
     """Every plan that took over, in order."""
     taken = [r for r in replans if r.plan is not None]
     ends = [*(r.hand_over for r in taken[1:]), np.inf][: len(taken)]
     return [
-        Shown(r.plan, r.hand_over, min(end, r.plan.end_time), r)
+        PlanInForce(r.plan, r.hand_over, min(end, r.plan.end_time), r)
         for r, end in zip(taken, ends, strict=True)
         if r.plan is not None
     ]
 
 
 def flown_plan(replans: Sequence[Replan]) -> Plan:
-    """The plan that was in force at each time; see `dtmpc_drake.plan.join`."""
+    """The plan that was in force at each time; see `dtmpc_drake.records.plan.join`."""
     shown = plans_in_force(replans)
     return join([s.plan for s in shown], [s.start for s in shown])
 

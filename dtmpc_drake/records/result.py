@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from dtmpc_drake.records.candidate import Candidate, candidates_table
 from dtmpc_drake.records.certificate import Certificate
 from dtmpc_drake.records.plan import Plan
-
-if TYPE_CHECKING:
-    from dtmpc_drake.planning.problem import Problem
 
 Status = Literal["certified", "not_certified", "infeasible", "failed"]
 
@@ -49,7 +46,6 @@ class PlanningResult:
         history: every convex program, coarse grids first.
         times: ``update``, ``solve``, ``evaluate``, ``certify`` and ``total``, s.
         backend: that solved it.
-        problem: that was solved.
         candidates: of the search for the best sides, the best first; empty
             without a search.
     """
@@ -63,7 +59,6 @@ class PlanningResult:
     history: tuple[Iteration, ...]
     times: dict[str, float]
     backend: str
-    problem: Problem
     candidates: tuple[Candidate, ...] = ()
 
     @property

@@ -11,6 +11,7 @@ import numpy as np
 
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.records import verdict
+from dtmpc_drake.records.archive import read_array
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.records.replan import Outcome, Replan
 from dtmpc_drake.records.result import Status
@@ -68,18 +69,6 @@ def check_arrays(arrays: Mapping[str, Array]) -> None:
         raise ValueError("time must be finite and increase")
     if np.isnan(arrays["known_since"]).any():
         raise ValueError("known_since must be times, infinite if never")
-
-
-def read_array(data: Mapping[str, Array], name: str) -> Array:
-    """One array of an archive.
-
-    Raises:
-        ValueError: if it is none.
-    """
-    array = data[name]
-    if not isinstance(array, np.ndarray):  # NumPy hands on the bytes of anything else
-        raise ValueError(f"{name} is no array")
-    return array
 
 
 def _text(array: Array) -> str:

@@ -19,6 +19,7 @@ import numpy as np
 
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.records.replan import Replan
+from dtmpc_drake.scenario import Limits
 
 QUANTITIES = (
     "not_finite",
@@ -44,16 +45,11 @@ DECIDED = ("certified", "kept", "braking", "given")
 """Statuses of a planner in flight with which something safe is flown."""
 
 
-def largest_kept(*, input_limit: float, speed_limit: float) -> Array:
-    """The largest value of every quantity that keeps its limit, ``(7,)``.
-
-    Args:
-        input_limit: u_m, of the norm of u, in m/s^n.
-        speed_limit: of the speed along every axis, in m/s.
-    """
+def largest_kept(limits: Limits) -> Array:
+    """The largest value of every quantity that keeps its limit, ``(7,)``."""
     # To touch an obstacle is to hit it.
     apart = np.nextafter(0.0, -1.0)
-    return np.array([0.0, 1.0, 1.0, 1.0, apart, input_limit, speed_limit])
+    return np.array([0.0, 1.0, 1.0, 1.0, apart, limits.input, limits.speed])
 
 
 def empty_record(lead: tuple[int, ...] = ()) -> Array:
@@ -170,7 +166,7 @@ _WORDS = {
 def breaches(
     record: Array,
     *,
-    largest: Array,
+    limits: Limits,
     order: int,
     replans: Sequence[Replan] = (),
 ) -> tuple[Breach, ...]:
@@ -178,13 +174,14 @@ def breaches(
 
     Args:
         record: of the flight, ``(6, 7)``.
-        largest: from `largest_kept`, ``(7,)``.
+        limits: that it had to keep.
         order: n, for the unit of the input.
         replans: the decisions on the way; one that left nothing safe to fly is
             a breach, too.
     """
     if np.isneginf(record[WORST, FINITE]):
         return (Breach("not_finite", 0.0, "", np.inf, "nobody looked at the flight"),)
+    largest = largest_kept(limits)
     found = [
         _breach(record[:, k], float(largest[k]), QUANTITIES[k], order)
         for k in np.flatnonzero(broken(record))

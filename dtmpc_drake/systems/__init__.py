@@ -1,7 +1,7 @@
 """Drake systems of the closed loop: thin shells around the pure functions."""
 
 from dtmpc_drake.systems.disturbance import MakeDisturbance, SeedTrials
-from dtmpc_drake.systems.dtmpc_planner import DtmpcPlanner, hold_plan
+from dtmpc_drake.systems.dtmpc_planner import DtmpcPlanner
 from dtmpc_drake.systems.gusts import Gusts
 from dtmpc_drake.systems.model_error import ModelError
 from dtmpc_drake.systems.obstacle_sensor import ObstacleSensor
@@ -29,6 +29,5 @@ __all__ = [
     "SlidingModeTracker_",
     "TrialNoise",
     "TubeMonitor",
-    "hold_plan",
     "tube_ratios",
 ]

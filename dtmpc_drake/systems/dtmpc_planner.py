@@ -3,76 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
-from pydrake.systems.framework import EventStatus, LeafSystem
+from pydrake.systems.framework import (
+    DiagramBuilder,
+    EventStatus,
+    LeafSystem,
+    OutputPort,
+)
 
-from dtmpc_drake.method.layer import layer_pieces
-from dtmpc_drake.method.tube import TubeStart, propagate
 from dtmpc_drake.numerics.arrays import BoolArray
 from dtmpc_drake.planning import Problem, plan_problem, replan, shortest_duration
-from dtmpc_drake.planning.transcription import HAIR
+from dtmpc_drake.planning.hold import hold_plan
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.records.replan import Replan
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.systems.obstacle_sensor import EvalMeasuredObstacles
-
-_HOLD_STEPS = 400
-"""Of the tube of a plan that rests, at least."""
-_HOLD_STEP = 0.5
-"""Of these steps, at most, in time constants of the fastest filter."""
-
-
-def hold_plan(scenario: Scenario) -> Plan:
-    """A reference that rests at the start, with the tube that is true for it.
-
-    It is what is flown where no certified plan exists.  The bandwidth is the
-    highest that plans use, and the tube starts from the plant's actual error, its
-    velocity included, so the plant does stay inside it.  Nobody has checked
-    that tube against obstacles or the input limit: it is not certified.
-    """
-    n, m = scenario.model.order, scenario.model.num_outputs
-    start = scenario.start_state()
-    rest = np.zeros((n + 1, m))
-    rest[0] = start[0]
-    error = start + scenario.initial_error_state() - rest[:n]
-    law, bandwidth = scenario.sliding_law(), scenario.controller.bandwidth
-    # A hair inside the limit, where plans may go on from it.
-    highest = np.full(m, bandwidth.fixed or bandwidth.max * (1 - HAIR))
-    layer = np.maximum(
-        scenario.initial_boundary_layer(), np.abs(law.sliding_variable(error))
-    )
-    fastest = float((highest + n * law.slope).max())
-    steps = max(_HOLD_STEPS, math.ceil(scenario.duration * fastest / _HOLD_STEP))
-    reference = np.broadcast_to(rest[:n], (2 * steps + 1, n, m))
-    alpha = np.broadcast_to(highest, (2 * steps + 1, m))
-    step = scenario.duration / steps
-    bounds = propagate(
-        law,
-        reference=reference,
-        bandwidth=alpha,
-        start=TubeStart.of_error(error, layer, law.slope),
-        velocity_bound="comparison",
-        step=step,
-    )
-    layers = layer_pieces(
-        law, reference=reference, bandwidth=alpha, initial=layer, step=step
-    )
-    coefficients = np.zeros((1, n + 2, m))
-    coefficients[0, 0] = rest[0]
-    return Plan(
-        knots=np.array([0.0, scenario.duration]),
-        coefficients=coefficients,
-        bandwidth_knots=np.stack([highest, highest]),
-        tube_times=np.linspace(0.0, scenario.duration, steps + 1),
-        layer_coefficients=layers,
-        bound_samples=bounds.error_bound,
-        bound_rate_samples=bounds.error_bound_rate,
-    )
+from dtmpc_drake.systems.wiring import AddConnected
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -156,7 +106,7 @@ class DtmpcPlanner(LeafSystem):
         status = "not planned yet" if plan is None else "given"
         memory = _Memory((), None, scenario.known_at_start())
         if plan is not None:
-            memory = dataclasses.replace(memory, replans=(_given(plan),))
+            memory = dataclasses.replace(memory, replans=(Replan.given(plan),))
         self._plan_state = self.DeclareAbstractState(Value[object](first))
         self._status_state = self.DeclareAbstractState(AbstractValue.Make(status))
         self._memory_state = self.DeclareAbstractState(Value[object](memory))
@@ -175,6 +125,32 @@ class DtmpcPlanner(LeafSystem):
             # Half a period after the sensor, whose news it would miss otherwise.
             period = scenario.sensing.period
             self.DeclarePeriodicUnrestrictedUpdateEvent(period, period / 2, self._look)
+
+    @staticmethod
+    def AddToBuilder(
+        *,
+        builder: DiagramBuilder,
+        scenario: Scenario,
+        plan: Plan | None = None,
+        state: OutputPort | None = None,
+        measured_obstacles: OutputPort | None = None,
+    ) -> DtmpcPlanner:
+        """Adds a planner to a diagram and connects it.
+
+        Args:
+            builder: the DiagramBuilder.
+            scenario: as in the constructor.
+            plan: as in the constructor.
+            state: output port that gives the plant's state; only plans on the way
+                look at it.
+            measured_obstacles: output port that gives what is known.
+
+        Returns:
+            The planner, named ``planner``.
+        """
+        planner = DtmpcPlanner(scenario=scenario, plan=plan)
+        inputs = {"state": state, "measured_obstacles": measured_obstacles}
+        return AddConnected(builder, "planner", planner, inputs)
 
     def _calc_replans(self, context: Any, output: Any) -> None:
         output.set_value(self._memory(context).replans)
@@ -297,8 +273,3 @@ class DtmpcPlanner(LeafSystem):
             plan=decision.plan,
             solve_time=perf_counter() - begin,
         )
-
-
-def _given(plan: Plan) -> Replan:
-    """The record of a plan that nobody here made."""
-    return Replan(0.0, 0.0, "start", (), "given", "", 0, None, plan, 0.0)

@@ -6,10 +6,16 @@ from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import EventStatus, LeafSystem
+from pydrake.systems.framework import (
+    DiagramBuilder,
+    EventStatus,
+    LeafSystem,
+    OutputPort,
+)
 
 from dtmpc_drake.numerics.arrays import BoolArray
 from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.systems.wiring import AddConnected
 
 
 class ObstacleSensor(LeafSystem):
@@ -68,6 +74,23 @@ class ObstacleSensor(LeafSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(
             scenario.sensing.period, 0.0, self._look
         )
+
+    @staticmethod
+    def AddToBuilder(
+        *, builder: DiagramBuilder, scenario: Scenario, state: OutputPort
+    ) -> ObstacleSensor:
+        """Adds a sensor to a diagram and connects it.
+
+        Args:
+            builder: the DiagramBuilder.
+            scenario: as in the constructor.
+            state: output port that gives the plant's state.
+
+        Returns:
+            The sensor, named ``obstacle_sensor``.
+        """
+        sensor = ObstacleSensor(scenario=scenario)
+        return AddConnected(builder, "obstacle_sensor", sensor, {"state": state})
 
     def _calc_measured_obstacles(self, context: Any, output: Any) -> None:
         since = context.get_discrete_state(0).value()

@@ -10,13 +10,16 @@ import numpy as np
 from pydrake.systems.framework import (
     BasicVector_,
     ContinuousStateIndex,
+    DiagramBuilder,
     LeafSystem_,
+    OutputPort,
 )
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from dtmpc_drake.models import Model
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.systems.side_by_side import unflattened
+from dtmpc_drake.systems.wiring import AddConnected
 
 
 def _plant_of(T: Any) -> Any:
@@ -104,6 +107,47 @@ def _plant_of(T: Any) -> Any:
                 trials=other._trials,
                 converter=converter,
             )
+
+        @staticmethod
+        def AddToBuilder(
+            *,
+            builder: DiagramBuilder,
+            model: Model,
+            parameters: Mapping[str, Any] | None = None,
+            initial_state: Array | None = None,
+            trials: int | None = None,
+            control: OutputPort | None = None,
+            disturbance: OutputPort | None = None,
+            model_error: OutputPort | None = None,
+        ) -> Impl:
+            """Adds a plant to a diagram and connects it.
+
+            Args:
+                builder: the DiagramBuilder.
+                model: as in the constructor, and so the next three.
+                parameters: defaults by name.
+                initial_state: default x(t0).
+                trials: how many plants.
+                control: output port that gives the input.  This and the next two may
+                    be connected later: in a closed loop they come from the state.
+                disturbance: output port that gives the disturbance.
+                model_error: output port that gives the model error.
+
+            Returns:
+                The plant, named ``plant``.
+            """
+            plant = Impl(
+                model=model,
+                parameters=parameters,
+                initial_state=initial_state,
+                trials=trials,
+            )
+            inputs = {
+                "control": control,
+                "disturbance": disturbance,
+                "model_error": model_error,
+            }
+            return AddConnected(builder, "plant", plant, inputs)
 
         def SetParameters(self, context: Any, parameters: Mapping[str, Any]) -> None:
             """Sets true parameters by name in this plant's Context.

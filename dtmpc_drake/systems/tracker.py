@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression
-from pydrake.systems.framework import LeafSystem_
+from pydrake.systems.framework import DiagramBuilder, LeafSystem_, OutputPort
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.systems.plan_port import DeclarePlanInputPort, EvalPlan
 from dtmpc_drake.systems.side_by_side import unflattened
+from dtmpc_drake.systems.wiring import AddConnected
 
 
 def _plain(time: Any) -> float:
@@ -90,6 +91,31 @@ def _tracker_of(T: Any) -> Any:
                 trials=other._trials,
                 converter=converter,
             )
+
+        @staticmethod
+        def AddToBuilder(
+            *,
+            builder: DiagramBuilder,
+            scenario: Scenario,
+            state: OutputPort,
+            plan: OutputPort,
+            trials: int | None = None,
+        ) -> Impl:
+            """Adds a tracker to a diagram and connects it.
+
+            Args:
+                builder: the DiagramBuilder.
+                scenario: as in the constructor.
+                state: output port that gives the plant's state.
+                plan: output port that gives the plan.
+                trials: as in the constructor.
+
+            Returns:
+                The tracker, named ``tracker``.
+            """
+            tracker = Impl(scenario=scenario, trials=trials)
+            inputs = {"state": state, "plan": plan}
+            return AddConnected(builder, "tracker", tracker, inputs)
 
         def _calc_reference(self, context: Any, output: Any) -> None:
             plan = EvalPlan(self._plan, context)

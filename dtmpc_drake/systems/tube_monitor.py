@@ -19,6 +19,7 @@ from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.systems.plan_port import DeclarePlanInputPort, EvalPlan
 from dtmpc_drake.systems.side_by_side import unflattened
+from dtmpc_drake.systems.wiring import AddConnected
 
 _WIDENING = 1e-6
 """Added to every bound (in m or m/s), so that 0/0 at the start counts as 0."""
@@ -84,7 +85,7 @@ class TubeMonitor(LeafSystem):
     the function of that name).  `clearance` has the distance of the plant's
     true position from the surface of each obstacle, in m and negative inside;
     without obstacles it is one infinity.  `quantities`, ``(7,)``, is what the
-    `QUANTITIES` of `dtmpc_drake.verdict` are now, and `record` its flattened ``(6, 7)``
+    `QUANTITIES` of `records.verdict` are now, and `record` its flattened ``(6, 7)``
     record: the worst so far of each, and when a limit was broken first.  With
     `trials`, `state`, `control` and all outputs have one more axis in front.
 
@@ -108,9 +109,7 @@ class TubeMonitor(LeafSystem):
         self._shape = (count, n, m)
         self._slope = scenario.slope()
         self._obstacles = scenario.obstacle_set()
-        self._largest = verdict.largest_kept(
-            input_limit=scenario.limits.input, speed_limit=scenario.limits.speed
-        )
+        self._largest = verdict.largest_kept(scenario.limits)
         self._state = self.DeclareVectorInputPort("state", count * n * m)
         self._plan = DeclarePlanInputPort(self)
         self._control = self.DeclareVectorInputPort("control", count * m)
@@ -169,12 +168,9 @@ class TubeMonitor(LeafSystem):
         Returns:
             The monitor, named ``tube_monitor``.
         """
-        monitor: TubeMonitor = builder.AddNamedSystem(
-            "tube_monitor", TubeMonitor(scenario=scenario, trials=trials)
-        )
-        for name, port in (("state", state), ("plan", plan), ("control", control)):
-            builder.Connect(port, monitor.GetInputPort(name))
-        return monitor
+        monitor = TubeMonitor(scenario=scenario, trials=trials)
+        inputs = {"state": state, "plan": plan, "control": control}
+        return AddConnected(builder, "tube_monitor", monitor, inputs)
 
     def _calc_tube_ratios(self, context: Any, output: Any) -> None:
         ratios = tube_ratios(

@@ -43,7 +43,9 @@ def run(scenario_name: str, repeats: int) -> Section:
     )
     data = {name: summary(r) for name, r in results.items()}
     for name, row in data.items():
-        row["bandwidth_cost"] = median([bandwidth_cost(r) for r in results[name]])
+        row["bandwidth_cost"] = median(
+            [bandwidth_cost(r, problems[name]) for r in results[name]]
+        )
     reference = data["with tube"]
     rows = [
         [

@@ -7,7 +7,6 @@ waits for the next one of its layout (`borrowed`).
 from __future__ import annotations
 
 import dataclasses
-import logging
 from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,14 +23,10 @@ from pydrake.solvers import (
     SolverOptions,
 )
 
+from dtmpc_drake.logs import muted
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.planning.deadline import NEVER, Deadline
 from dtmpc_drake.planning.scp.rows import Assembled
-
-# Drake tells the world how every program ended; here that is in the history.
-logging.getLogger("drake").addFilter(
-    lambda record: not record.getMessage().startswith("Clarabel returns")
-)
 
 GROUP = 16
 """So many windows share one of Drake's costs, whose matrices are dense."""
@@ -206,12 +201,14 @@ class QuadraticProgram:
                 options.SetOption(ClarabelSolver.id(), name, value)
             if np.isfinite(deadline.left):
                 options.SetOption(ClarabelSolver.id(), "time_limit", deadline.left)
-            # As a batch of one it lets other threads run, which `Solve` does not.
-            (result,) = SolveInParallel(
-                progs=[self._program],
-                solver_options=options,
-                solver_id=ClarabelSolver.id(),
-            )
+            # Drake tells the world how a program ended; here that is in the history.
+            with muted("drake", "Clarabel returns"):
+                # As a batch of one it lets other threads run, unlike `Solve`.
+                (result,) = SolveInParallel(
+                    progs=[self._program],
+                    solver_options=options,
+                    solver_id=ClarabelSolver.id(),
+                )
             status = str(result.get_solver_details().status)
             # A step of almost solved programs is still checked by the merit.
             good = status in ("Solved", "AlmostSolved")

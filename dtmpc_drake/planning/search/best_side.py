@@ -144,7 +144,7 @@ def plan_best_side(
         if k == 0 and earlier is None:  # as without a search
             return solve(problem, local, warm_start=None, deadline=deadline)
         result = solve(problem, quick, warm_start=coarse[k].plan, deadline=deadline)
-        result = _or_coarse(result, coarse[k])
+        result = _or_coarse(result, coarse[k], problem)
         return dataclasses.replace(result, history=coarse[k].history + result.history)
 
     straight = Way.along(NEITHER * len(problem.obstacles), _ends(problem))
@@ -204,14 +204,16 @@ def _is_good(result: PlanningResult) -> bool:
     return result.certificate.kept
 
 
-def _or_coarse(result: PlanningResult, coarse: _Coarse) -> PlanningResult:
+def _or_coarse(
+    result: PlanningResult, coarse: _Coarse, problem: Problem
+) -> PlanningResult:
     """The coarse plan itself, if it is certified and the fine one is no better.
 
     That happens where the fine programs end in trouble.
     """
     if result.certified and result.cost <= coarse.cost:
         return result
-    certificate = certify(coarse.plan, result.problem)
+    certificate = certify(coarse.plan, problem)
     if not certificate.certified:
         return result
     return dataclasses.replace(
