@@ -19,6 +19,7 @@ from dtmpc_drake.models import (
     DragDoubleIntegrator,
     IntegratorChain,
     Model,
+    register_model,
 )
 from dtmpc_drake.numerics.arrays import Array, magnitude
 from dtmpc_drake.obstacles import ObstacleSet
@@ -46,6 +47,7 @@ class FractionOfBound(Model):
         return self.model_error_bound(np.maximum(np.abs(x) - radius, 0.0))
 
 
+@register_model
 @dataclasses.dataclass
 class ThirdOrderPlanar(FractionOfBound):
     """n = 3, m = 2: ``d³y/dt³ = -damping ÿ + u``, Δ = offset + growth ‖ẏ‖²."""
@@ -61,7 +63,7 @@ class ThirdOrderPlanar(FractionOfBound):
         """See base class."""
         return np.asarray(-self.damping * x[..., 2, :])
 
-    def drift_bound(self, x: Array, radius: Array) -> Array:
+    def drift_bound_over(self, x: Array, radius: Array) -> Array:
         """See base class; exact."""
         return np.asarray(self.damping * (magnitude(x) + radius)[..., 2, :])
 
@@ -80,6 +82,7 @@ class ThirdOrderPlanar(FractionOfBound):
         return np.full(2, self.offset + self.growth * speed**2)
 
 
+@register_model
 @dataclasses.dataclass
 class PlanarOnSlope(FractionOfBound):
     """n = 2, m = 2, B depends on where it is: a skewed vehicle on rough ground.
@@ -99,7 +102,7 @@ class PlanarOnSlope(FractionOfBound):
         """See base class."""
         return np.asarray(-self.pull * np.sin(x[..., 0, :]))
 
-    def drift_bound(self, x: Array, radius: Array) -> Array:
+    def drift_bound_over(self, x: Array, radius: Array) -> Array:
         """See base class; the slope of a sine is at most one."""
         return np.asarray(
             magnitude(self.drift(x)) + self.pull * np.asarray(radius)[..., 0, :]
@@ -133,6 +136,7 @@ class PlanarOnSlope(FractionOfBound):
         return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+@register_model
 @dataclasses.dataclass
 class FirstOrderScalar(FractionOfBound):
     """n = 1, m = 1: ``ẏ = -decay y + u`` with Δ = offset + growth |y|."""
@@ -148,7 +152,7 @@ class FirstOrderScalar(FractionOfBound):
         """See base class."""
         return np.asarray(-self.decay * x[..., 0, :])
 
-    def drift_bound(self, x: Array, radius: Array) -> Array:
+    def drift_bound_over(self, x: Array, radius: Array) -> Array:
         """See base class; exact."""
         return np.asarray(self.decay * (magnitude(x) + radius)[..., 0, :])
 

@@ -11,11 +11,11 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from dtmpc_drake.diagrams.live_view import LiveView
 from dtmpc_drake.diagrams.trials import Trial
+from dtmpc_drake.disturbances import MakeDisturbance
 from dtmpc_drake.records.plan import Plan
-from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.scenario import Scenario, require_one_plan
 from dtmpc_drake.systems import (
     DtmpcPlanner,
-    MakeDisturbance,
     ObstacleSensor,
     Plant,
     SlidingModeTracker,
@@ -59,7 +59,7 @@ def MakeClosedLoop(
     if trials is not None:
         if plan is None or meshcat is not None:
             raise ValueError("trials: they fly a given plan, and are not shown")
-        scenario.require_one_plan()
+        require_one_plan(scenario)
         count = len(trials)
         for name in parameters:
             parameters[name] = [trial.parameters[name] for trial in trials]

@@ -55,7 +55,7 @@ def feedback_bound(
     # Δ(x*) - κ, written without a maximum.
     excess = gain - model.model_error_bound(reference)
     switching = largest / 2 + magnitude(excess + largest / 2) + gain_radius
-    return np.asarray(model.drift_bound(reference, box) + damping + switching)
+    return np.asarray(model.drift_bound_over(reference, box) + damping + switching)
 
 
 def input_bound(

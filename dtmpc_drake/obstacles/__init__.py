@@ -1,6 +1,15 @@
 """What must not be hit, one kind of obstacle a file, and the field of them all."""
 
-from dtmpc_drake.obstacles.ellipsoids import Cylinder, Ellipsoid, Obstacle, Sphere
+from dtmpc_drake.obstacles.base import OBSTACLES, Obstacle, register_obstacle
+from dtmpc_drake.obstacles.ellipsoids import Cylinder, Ellipsoid, Sphere
 from dtmpc_drake.obstacles.field import ObstacleSet
 
-__all__ = ["Cylinder", "Ellipsoid", "Obstacle", "ObstacleSet", "Sphere"]
+__all__ = [
+    "OBSTACLES",
+    "Cylinder",
+    "Ellipsoid",
+    "Obstacle",
+    "ObstacleSet",
+    "Sphere",
+    "register_obstacle",
+]

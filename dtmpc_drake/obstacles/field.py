@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from dtmpc_drake.numerics.arrays import Array, BoolArray, FloatArray
-from dtmpc_drake.obstacles.ellipsoids import Cylinder, Obstacle
+from dtmpc_drake.obstacles.base import OBSTACLES, Obstacle
+from dtmpc_drake.obstacles.ellipsoids import Cylinder
 
 _SWEEPS = 20
 """At most, of the search for the nearest point of a tube."""
@@ -37,12 +37,10 @@ class ObstacleSet:
         """Stacks the obstacles of a scenario with `num_outputs` outputs.
 
         Raises:
-            TypeError: if one is of no class that is known here, a subclass included.
+            ScenarioError: if one is of no registered class, a subclass included.
         """
-        for o in obstacles:
-            if type(o) not in get_args(Obstacle):
-                known = ", ".join(kind.__name__ for kind in get_args(Obstacle))
-                raise TypeError(f"{type(o).__name__} is no obstacle; there are {known}")
+        for i, obstacle in enumerate(obstacles):
+            OBSTACLES.require(f"obstacles[{i}]", obstacle)
         matrices = [o.shape_matrix(num_outputs) for o in obstacles]
         rows = max((len(H) for H in matrices), default=1)
         shape = np.zeros((len(obstacles), rows, num_outputs))

@@ -78,9 +78,7 @@ class Problem:
             known = scenario.known_at_start()
         model = scenario.planning_model()
         bandwidth = scenario.controller.bandwidth
-        low, high = bandwidth.min, bandwidth.max
-        if bandwidth.fixed is not None:
-            low = high = bandwidth.fixed
+        low, high = bandwidth.interval()
         m = model.num_outputs
         velocity_bound: VelocityBound = (
             "paper" if scenario.planner.velocity_bound == "paper" else "comparison"

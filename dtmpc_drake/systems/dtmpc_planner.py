@@ -44,7 +44,9 @@ def hold_plan(scenario: Scenario) -> Plan:
     error = start + scenario.initial_error_state() - rest[:n]
     slope, bandwidth = scenario.slope(), scenario.controller.bandwidth
     # A hair inside the limit, where plans may go on from it.
-    highest = np.full(m, bandwidth.fixed or bandwidth.max * (1 - HAIR))
+    highest = np.full(m, bandwidth.interval()[1])
+    if bandwidth.fixed is None:
+        highest *= 1 - HAIR
     layer = np.maximum(
         scenario.initial_boundary_layer(), np.abs(sliding_variable(error, slope))
     )
@@ -133,7 +135,7 @@ class DtmpcPlanner(LeafSystem):
     What this machine took is in the records (`Replan.solve_time`); where it is more
     than the delay, the vehicle would need a faster one.
 
-    With `ObstacleSensor` and a range of `Scenario.sensing_range_needed` there is a
+    With `ObstacleSensor` and a range of `scenario.sensing_range_needed` there is a
     way to rest before every obstacle when it becomes known; the planner finds it by
     optimisation, from a few starts, and says ``unsafe`` if it does not.
     """
