@@ -24,14 +24,15 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from dtmpc_drake.errors import ScenarioError
+from dtmpc_drake.plugins import load_plugins
 from dtmpc_drake.scenario import SHIPPED, Scenario, load_scenario, shipped_scenarios
-from dtmpc_drake.scenario.error import ScenarioError
 
 if TYPE_CHECKING:
     from dtmpc_drake.experiments.monte_carlo import Batch
 
 BAD_INPUT, NOT_CERTIFIED = 2, 3
-OPTIONS = ("seed", "trials", "batch-size", "disturbance", "scheduler")
+OPTIONS = ("seed", "trials", "batch-size", "disturbance", "scheduler", "plugin")
 """Fields of a ScenarioError that are options and no part of a file."""
 
 app = typer.Typer(
@@ -46,6 +47,14 @@ ScenarioArgument = Annotated[
     str, typer.Argument(help="Name of a shipped scenario, or a YAML file.")
 ]
 
+PluginOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="FILE",
+        help="A Python file of your own models, obstacles or disturbances, to be run "
+        "first; may be given several times.",
+    ),
+]
 SeedOption = Annotated[
     str | None,
     typer.Option(metavar="N", help="Of everything random, instead of the file's."),
@@ -74,6 +83,7 @@ def simulate(
         typer.Option(help="Directory for the files.  [default: out/<name>]"),
     ] = None,
     seed: SeedOption = None,
+    plugin: PluginOption = None,
     backend: Annotated[
         str | None,
         typer.Option(metavar="clarabel|ipopt", help="Solver, instead of the file's."),
@@ -96,7 +106,7 @@ def simulate(
         console.print(table_row(iteration), markup=False)
 
     with _input_errors(out):
-        chosen = _with_options(load_scenario(scenario), seed=seed, backend=backend)
+        chosen = _load(scenario, plugin, seed=seed, backend=backend)
         console.print(repr(chosen), markup=False)
         if not quiet:
             console.print(table_header(), style="bold", markup=False)
@@ -125,6 +135,7 @@ def monte_carlo(
         ),
     ] = "all",
     seed: SeedOption = None,
+    plugin: PluginOption = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -145,7 +156,7 @@ def monte_carlo(
 
     console = Console(highlight=False, soft_wrap=True)
     with _input_errors(out):
-        chosen = _with_options(load_scenario(scenario), seed=seed, backend=None)
+        chosen = _load(scenario, plugin, seed=seed)
         console.print(repr(chosen), markup=False)
         with _flights(console) as (start, done):
             ended = experiment.run(
@@ -169,6 +180,7 @@ def compare(
     scenario: ScenarioArgument,
     trials: TrialsOption = "1000",
     seed: SeedOption = None,
+    plugin: PluginOption = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Directory for the files.  [default: out/<name>_compare]"),
@@ -186,7 +198,7 @@ def compare(
 
     console = Console(highlight=False, soft_wrap=True)
     with _input_errors(out):
-        chosen = _with_options(load_scenario(scenario), seed=seed, backend=None)
+        chosen = _load(scenario, plugin, seed=seed)
         console.print(repr(chosen), markup=False)
         with _flights(console) as (start, done):
             ended = experiment.run(
@@ -215,32 +227,36 @@ def list_scenarios() -> None:
 @app.command()
 def show(
     name: Annotated[str, typer.Argument(help="Name of a shipped scenario, or a file.")],
+    plugin: PluginOption = None,
 ) -> None:
     """Print a scenario file, to be copied and changed."""
-    try:
-        scenario = load_scenario(name)
-    except ScenarioError as error:
-        _refuse(str(error))
-    shipped = name in shipped_scenarios()
-    typer.echo((_text(name) if shipped else scenario.to_yaml()).rstrip())
+    with _input_errors(None):
+        scenario = _load(name, plugin)
+        text = _text(name) if name in shipped_scenarios() else scenario.to_yaml()
+    typer.echo(text.rstrip())
 
 
 @app.command()
 def check(
     file: Annotated[str, typer.Argument(help="A YAML file, or a shipped scenario.")],
+    plugin: PluginOption = None,
 ) -> None:
     """Validate a scenario without planning it."""
-    try:
-        scenario = load_scenario(file)
-    except ScenarioError as error:
-        _refuse(str(error))
+    with _input_errors(None):
+        scenario = _load(file, plugin)
     typer.echo(f"valid: {scenario!r}")
 
 
-def _with_options(
-    scenario: Scenario, *, seed: str | None, backend: str | None
+def _load(
+    name: str,
+    plugins: list[str] | None,
+    *,
+    seed: str | None = None,
+    backend: str | None = None,
 ) -> Scenario:
     """The scenario with what the command line replaces, validated again."""
+    load_plugins(plugins or [])
+    scenario = load_scenario(name)
     if seed is not None:
         scenario.simulation.seed = _whole("seed", seed)
     if backend is not None:

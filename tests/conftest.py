@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import hypothesis
 import pytest
 
+from dtmpc_drake.disturbances import DISTURBANCES
+from dtmpc_drake.models import MODELS
+from dtmpc_drake.obstacles import OBSTACLES
 from dtmpc_drake.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
@@ -18,6 +23,21 @@ hypothesis.settings.register_profile(
     "deterministic", max_examples=25, deadline=None, derandomize=True, database=None
 )
 hypothesis.settings.load_profile("deterministic")
+
+
+@pytest.fixture
+def own_registries() -> Iterator[None]:
+    """Forgets in the end what a test registers."""
+    with forgetting():
+        yield
+
+
+@contextlib.contextmanager
+def forgetting() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        for registry in (MODELS, OBSTACLES, DISTURBANCES):
+            patch.setattr(registry, "_classes", dict(registry._classes))
+        yield
 
 
 @pytest.fixture

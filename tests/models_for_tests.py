@@ -20,6 +20,7 @@ from dtmpc_drake.models import (
     DragDoubleIntegrator,
     IntegratorChain,
     Model,
+    register_model,
 )
 from dtmpc_drake.numerics.arrays import Array, magnitude
 from dtmpc_drake.obstacles import ObstacleSet
@@ -47,6 +48,7 @@ class FractionOfBound(Model):
         return self.model_error_bound(np.maximum(np.abs(x) - radius, 0.0))
 
 
+@register_model
 @dataclasses.dataclass
 class ThirdOrderPlanar(FractionOfBound):
     """n = 3, m = 2: ``d³y/dt³ = -damping ÿ + u``, Δ = offset + growth ‖ẏ‖²."""
@@ -62,7 +64,7 @@ class ThirdOrderPlanar(FractionOfBound):
         """See base class."""
         return np.asarray(-self.damping * x[..., 2, :])
 
-    def drift_bound(self, x: Array, radius: Array) -> Array:
+    def drift_bound_over(self, x: Array, radius: Array) -> Array:
         """See base class; exact."""
         return np.asarray(self.damping * (magnitude(x) + radius)[..., 2, :])
 
@@ -81,6 +83,7 @@ class ThirdOrderPlanar(FractionOfBound):
         return np.full(2, self.offset + self.growth * speed**2)
 
 
+@register_model
 @dataclasses.dataclass
 class PlanarOnSlope(FractionOfBound):
     """n = 2, m = 2, B depends on where it is: a skewed vehicle on rough ground.
@@ -100,7 +103,7 @@ class PlanarOnSlope(FractionOfBound):
         """See base class."""
         return np.asarray(-self.pull * np.sin(x[..., 0, :]))
 
-    def drift_bound(self, x: Array, radius: Array) -> Array:
+    def drift_bound_over(self, x: Array, radius: Array) -> Array:
         """See base class; the slope of a sine is at most one."""
         return np.asarray(
             magnitude(self.drift(x)) + self.pull * np.asarray(radius)[..., 0, :]
@@ -134,6 +137,7 @@ class PlanarOnSlope(FractionOfBound):
         return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+@register_model
 @dataclasses.dataclass
 class FirstOrderScalar(FractionOfBound):
     """n = 1, m = 1: ``ẏ = -decay y + u`` with Δ = offset + growth |y|."""
@@ -149,7 +153,7 @@ class FirstOrderScalar(FractionOfBound):
         """See base class."""
         return np.asarray(-self.decay * x[..., 0, :])
 
-    def drift_bound(self, x: Array, radius: Array) -> Array:
+    def drift_bound_over(self, x: Array, radius: Array) -> Array:
         """See base class; exact."""
         return np.asarray(self.decay * (magnitude(x) + radius)[..., 0, :])
 

@@ -15,6 +15,7 @@ from matplotlib.text import Text
 from typer.testing import CliRunner
 
 from dtmpc_drake.__main__ import app
+from dtmpc_drake.disturbances import UniformHold, WorstCase
 from dtmpc_drake.experiments.compare import OUTPUTS, Row, to_figure, to_text
 from dtmpc_drake.experiments.monte_carlo import Batch, fly
 from dtmpc_drake.models import ConstantUncertainty, DragDoubleIntegrator
@@ -35,9 +36,7 @@ from dtmpc_drake.scenario import (
     Controller,
     Planner,
     Scenario,
-    UniformHold,
     Waypoint,
-    WorstCase,
     load_scenario,
 )
 

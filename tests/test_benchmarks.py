@@ -7,10 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from dtmpc_drake.disturbances import UniformHold
 from dtmpc_drake.models import DragDoubleIntegrator
 from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.planning import Problem, certify
-from dtmpc_drake.scenario import Controller, Planner, Scenario, UniformHold, Waypoint
+from dtmpc_drake.scenario import Controller, Planner, Scenario, Waypoint
 
 pytest.importorskip("casadi")
 

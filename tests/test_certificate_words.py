@@ -40,8 +40,8 @@ class Poisoned(DragDoubleIntegrator):
         answer[near] = self._value
         return answer
 
-    def drift_bound(self, x, radius):
-        return self._answer("drift_bound", x, super().drift_bound(x, radius))
+    def drift_bound_over(self, x, radius):
+        return self._answer("drift_bound_over", x, super().drift_bound_over(x, radius))
 
     def model_error_bound(self, x):
         return self._answer("model_error_bound", x, super().model_error_bound(x))
@@ -63,7 +63,7 @@ class Poisoned(DragDoubleIntegrator):
 
 
 POISONED = {
-    "drift_bound": "input",
+    "drift_bound_over": "input",
     "model_error_bound": "",
     "model_error_bound_over": "",
     "model_error_bound_under": "bandwidth_min",
@@ -89,7 +89,7 @@ def test_a_model_that_is_not_finite_somewhere_has_no_certificate(
 
 def test_a_model_that_is_not_finite_is_not_planned_for(known_result):
     """Neither as certified nor as infeasible: nothing can be said."""
-    problem = make_problem(Poisoned("drift_bound", math.nan), duration=8.0)
+    problem = make_problem(Poisoned("drift_bound_over", math.nan), duration=8.0)
     goal = problem.goal.copy()
     goal[0] = [0.0, 14.0, 0.0]
     result = plan_problem(

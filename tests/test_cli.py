@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from dtmpc_drake.__main__ import app
 from dtmpc_drake.diagrams import Simulate
+from dtmpc_drake.errors import ScenarioError
 from dtmpc_drake.experiments.simulate import ATTEMPT, OUTPUTS, run
 from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.records.flight import Flight
@@ -28,7 +29,6 @@ from dtmpc_drake.scenario import (
     load_scenario,
     shipped_scenarios,
 )
-from dtmpc_drake.scenario.error import ScenarioError
 
 SHORT = Scenario(
     name="short",

@@ -13,24 +13,26 @@ from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.systems.analysis import Simulator
 
 from dtmpc_drake.diagrams import MakeClosedLoop, Simulate
+from dtmpc_drake.disturbances import (
+    BangBang,
+    ColoredWind,
+    Constant,
+    Disturbance,
+    Gust,
+    UniformHold,
+    WorstCase,
+)
 from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
 from dtmpc_drake.obstacles import Cylinder, Sphere
 from dtmpc_drake.planning import plan
 from dtmpc_drake.records.flight import Flight
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import (
-    BangBang,
-    ColoredWind,
-    Constant,
     Controller,
-    Disturbance,
-    Gust,
     Limits,
     Planner,
     Scenario,
-    UniformHold,
     Waypoint,
-    WorstCase,
     load_scenario,
 )
 from tests.models_for_tests import FirstOrderScalar, PlanarOnSlope, ThirdOrderPlanar

@@ -40,7 +40,7 @@ def draw_box(model: Model, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarra
 def test_bounds_over_a_box_hold_at_every_state_of_it(model: Model, seed: int) -> None:
     x, radius, states = draw_box(model, seed)
     drift = np.abs(model.drift(states))
-    assert (drift <= model.drift_bound(x, radius) + 1e-12).all()
+    assert (drift <= model.drift_bound_over(x, radius) + 1e-12).all()
     error = model.model_error_bound(states)
     assert (error <= model.model_error_bound_over(x, radius) + 1e-12).all()
     assert (error >= model.model_error_bound_under(x, radius) - 1e-12).all()
@@ -54,7 +54,7 @@ def test_the_drag_bounds_are_attained_at_a_corner(seed: int) -> None:
     model = DragDoubleIntegrator(drag_estimate=0.1, drag_error_bound=0.2)
     x, radius, _ = draw_box(model, seed)
     corner = x + np.where(x < 0, -1, 1) * radius
-    assert model.drift_bound(x, radius) == pytest.approx(
+    assert model.drift_bound_over(x, radius) == pytest.approx(
         np.abs(model.drift(corner)), abs=1e-5
     )
     assert model.model_error_bound_over(x, radius) == pytest.approx(
@@ -109,7 +109,7 @@ def test_a_batch_is_its_entries_one_by_one(model: Model, seed: int) -> None:
     radius = rng.uniform(0, 1, x.shape)
     functions = {
         "drift": lambda x, r: model.drift(x),
-        "drift_bound": model.drift_bound,
+        "drift_bound_over": model.drift_bound_over,
         "model_error_bound": lambda x, r: model.model_error_bound(x),
         "model_error_bound_over": model.model_error_bound_over,
         "inverse_input_matrix": lambda x, r: model.inverse_input_matrix(x),
@@ -167,7 +167,9 @@ def test_constant_uncertainty_changes_nothing_but_the_error_bound() -> None:
     constant = ConstantUncertainty(model, model.constant_model_error_bound(2.5))
     x, radius, states = draw_box(model, 3)
     assert (constant.drift(states) == model.drift(states)).all()
-    assert (constant.drift_bound(x, radius) == model.drift_bound(x, radius)).all()
+    assert (
+        constant.drift_bound_over(x, radius) == model.drift_bound_over(x, radius)
+    ).all()
     assert (constant.model_error_bound(states) == 1.25).all()
     assert (constant.model_error_bound_over(x, radius) == 1.25).all()
     assert constant.parameter_interval("drag") == model.parameter_interval("drag")
@@ -210,7 +212,7 @@ def test_sampled_bounds_are_right_where_functions_are_monotone() -> None:
     x = np.array([[[1.0, -1.0], [0.5, 0.0]]] * 4)
     radius = np.array([[[0.1, 0.2], [0.3, 0.4]]] * 4)
     expected = np.array([[2.0 + 0.1 + 0.6, 1.0 + 0.2 + 0.8]] * 4)
-    assert model.drift_bound(x, radius) == pytest.approx(expected)
+    assert model.drift_bound_over(x, radius) == pytest.approx(expected)
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=4))
@@ -298,7 +300,7 @@ def test_models_are_differentiable_by_drake(model: Model) -> None:
     for function in (
         model.drift,
         model.model_error_bound,
-        lambda x: model.drift_bound(x, radius),
+        lambda x: model.drift_bound_over(x, radius),
         lambda x: model.model_error_bound_over(x, radius),
     ):
         result = function(InitializeAutoDiff(x.ravel()).reshape(x.shape))

@@ -36,8 +36,17 @@ from dtmpc_drake.diagrams import (
     draw_trials,
 )
 from dtmpc_drake.diagrams.trials import SPREAD
+from dtmpc_drake.disturbances import (
+    DISTURBANCES,
+    Constant,
+    Disturbance,
+    SeedTrials,
+    TrialNoise,
+    UniformHold,
+    WorstCase,
+)
+from dtmpc_drake.errors import ScenarioError
 from dtmpc_drake.experiments.monte_carlo import (
-    KINDS,
     OUTPUTS,
     Batch,
     choose_disturbances,
@@ -54,21 +63,18 @@ from dtmpc_drake.records.flight import Flight
 from dtmpc_drake.records.flights import Flights
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import (
-    Constant,
     Controller,
-    Disturbance,
     Limits,
     Planner,
     Scenario,
-    UniformHold,
     Waypoint,
-    WorstCase,
     load_scenario,
 )
-from dtmpc_drake.scenario.error import ScenarioError
-from dtmpc_drake.systems import Plant, SeedTrials, SlidingModeTracker, TrialNoise
+from dtmpc_drake.systems import Plant, SlidingModeTracker
 from dtmpc_drake.visualization import plot_plan, plot_quantiles
 from tests.models_for_tests import PlanarOnSlope, ThirdOrderPlanar
+
+KINDS = {kind.short_name: kind.hard for kind in DISTURBANCES if kind.short_name}
 
 
 def short(model: Any = None, **fields: Any) -> Scenario:

@@ -13,6 +13,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
+from dtmpc_drake.errors import ScenarioError
 from dtmpc_drake.experiments import compare, monte_carlo
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.stopping import range_needed, stopping_time
@@ -24,8 +25,8 @@ from dtmpc_drake.scenario import (
     Sensing,
     load_scenario,
     parse_scenario,
+    sensing_range_needed,
 )
-from dtmpc_drake.scenario.error import ScenarioError
 from dtmpc_drake.systems import ObstacleSensor
 
 
@@ -225,7 +226,7 @@ def test_what_makes_no_sense_is_refused_in_one_line(
 
 def test_a_range_that_is_far_enough_is_accepted_and_one_below_is_not() -> None:
     scenario = load_scenario("sensed_environment")
-    needed = scenario.sensing_range_needed()
+    needed = sensing_range_needed(scenario)
     assert needed < scenario.sensing.range
     scenario.sensing.range = needed + 1e-6
     scenario.validate()

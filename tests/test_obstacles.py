@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dtmpc_drake.errors import ScenarioError
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Obstacle, ObstacleSet, Sphere
 
 coordinates = st.floats(-5, 5)
@@ -161,6 +162,6 @@ def test_an_obstacle_that_is_not_known_is_not_taken_for_another() -> None:
         """Lower than a cylinder; nobody here knows that."""
 
     with pytest.raises(
-        TypeError, match="Fence is no obstacle; there are Cylinder, Sph"
+        ScenarioError, match=r"^obstacles\[1\]: got 'Fence'.* one of Cylinder, Sph"
     ):
         ObstacleSet.stack([Cylinder(), Fence()], 3)

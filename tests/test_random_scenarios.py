@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import scipy.integrate
 
+from dtmpc_drake.errors import ScenarioError
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Sphere
 from dtmpc_drake.planning import plan
 from dtmpc_drake.scenario import Scenario, Waypoint
-from dtmpc_drake.scenario.error import ScenarioError
 
 SEEDS = range(12)
 

@@ -12,6 +12,7 @@ import pytest
 from test_diagrams import DISTURBANCES
 
 from dtmpc_drake.diagrams import MakeClosedLoop, Simulate
+from dtmpc_drake.disturbances import WorstCase
 from dtmpc_drake.models import IntegratorChain
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid
 from dtmpc_drake.planning import Problem, certify, plan, replan
@@ -27,8 +28,8 @@ from dtmpc_drake.scenario import (
     Scenario,
     Sensing,
     Waypoint,
-    WorstCase,
     load_scenario,
+    sensing_range_needed,
 )
 
 _FLIGHTS: dict[tuple[str, str], Flight] = {}
@@ -296,7 +297,7 @@ WALL = Ellipsoid([0.0, 8.0], [[0.0, 1.0]], 1.0)  # from y = 7 to 9, without an e
 
 def test_the_vehicle_stops_before_a_wall_that_it_sees_from_far_enough() -> None:
     scenario = corridor(obstacles=[WALL], sensing=Sensing(range=50.0))
-    scenario.sensing.range = scenario.sensing_range_needed()
+    scenario.sensing.range = sensing_range_needed(scenario)
     scenario.validate()
     scenario.planner.replan_period = 2.0
     log = Simulate(scenario)
@@ -477,7 +478,7 @@ def random_field(seed: int) -> Scenario:
         planner=Planner(intervals=56, replan_period=2.0),
         sensing=Sensing(range=100.0),
     )
-    scenario.sensing.range = scenario.sensing_range_needed()
+    scenario.sensing.range = sensing_range_needed(scenario)
     scenario.simulation.seed = seed
     scenario.validate()
     return scenario

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from dtmpc_drake.__main__ import app
 from dtmpc_drake.diagrams import FlyTrials, Simulate, SimulateTrials, draw_trials
-from dtmpc_drake.experiments.monte_carlo import KINDS
+from dtmpc_drake.disturbances import DISTURBANCES, BangBang
 from dtmpc_drake.models import DragDoubleIntegrator
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.sampling import samples, step_times
@@ -23,9 +23,10 @@ from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.planning import hold_plan, plan
 from dtmpc_drake.records.flight import Flight
 from dtmpc_drake.records.plan import Plan
-from dtmpc_drake.scenario import BangBang, Planner, Scenario, Simulation, Waypoint
+from dtmpc_drake.scenario import Planner, Scenario, Simulation, Waypoint
 from dtmpc_drake.visualization.style import drawn_period
 
+KINDS = {kind.short_name: kind.hard for kind in DISTURBANCES if kind.short_name}
 SHORT = Scenario(
     name="short",
     disturbance=BangBang(hold=0.33),

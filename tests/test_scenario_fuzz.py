@@ -13,10 +13,10 @@ from types import FrameType
 import numpy as np
 import pytest
 
+from dtmpc_drake.errors import ScenarioError
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.planning.transcription import Transcription
 from dtmpc_drake.scenario import SHIPPED, Scenario, parse_scenario, shipped_scenarios
-from dtmpc_drake.scenario.error import ScenarioError
 from dtmpc_drake.scenario.size import MEMORY
 
 TEXTS, TASKS = 2000, 20

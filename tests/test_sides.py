@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from dtmpc_drake.diagrams import Simulate
+from dtmpc_drake.errors import ScenarioError
 from dtmpc_drake.experiments.random_fields import SEEDS, compare, random_field
 from dtmpc_drake.experiments.simulate import CANDIDATES, run
 from dtmpc_drake.method.tube import TubeStart
@@ -18,7 +19,6 @@ from dtmpc_drake.planning import Problem, plan, plan_problem
 from dtmpc_drake.planning.search.best_side import SWITCH, affordable, plan_best_side
 from dtmpc_drake.planning.search.sides import Way, propose, sides_of
 from dtmpc_drake.scenario import Scenario, Waypoint, load_scenario
-from dtmpc_drake.scenario.error import ScenarioError
 from dtmpc_drake.visualization import plot_candidates
 from tests.test_random_scenarios import random_scenario
 

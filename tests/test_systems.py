@@ -15,31 +15,29 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, System
 from pydrake.systems.primitives import FirstOrderTaylorApproximation, Linearize
 
+from dtmpc_drake.disturbances import (
+    BangBang,
+    ColoredWind,
+    Constant,
+    Disturbance,
+    Gust,
+    MakeDisturbance,
+    Relay,
+    SlidingError,
+    UniformHold,
+    WorstCase,
+)
+from dtmpc_drake.errors import ScenarioError
 from dtmpc_drake.method import sliding
 from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.planning import hold_plan
 from dtmpc_drake.records.plan import Plan
-from dtmpc_drake.scenario import (
-    BangBang,
-    ColoredWind,
-    Constant,
-    Controller,
-    Disturbance,
-    Gust,
-    Scenario,
-    UniformHold,
-    Waypoint,
-    WorstCase,
-)
-from dtmpc_drake.scenario.error import ScenarioError
+from dtmpc_drake.scenario import Controller, Scenario, Waypoint
 from dtmpc_drake.systems import (
     DtmpcPlanner,
-    MakeDisturbance,
     Plant,
     Plant_,
-    Relay,
-    SlidingError,
     SlidingModeTracker,
     SlidingModeTracker_,
     TubeMonitor,

@@ -32,7 +32,7 @@ class CalmAway(FractionOfBound):
         """See base class."""
         return np.asarray(0.0 * x[..., 0, :])
 
-    def drift_bound(self, x: Array, radius: Array) -> Array:
+    def drift_bound_over(self, x: Array, radius: Array) -> Array:
         """See base class."""
         return self.drift(x)
 

@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 
+from dtmpc_drake.errors import ScenarioError
 from dtmpc_drake.models import IntegratorChain
 from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.planning import plan, plan_problem, replan
@@ -16,7 +17,6 @@ from dtmpc_drake.planning.ipopt import solver as nlp
 from dtmpc_drake.planning.scp.algorithm import Effort, iterate_to_convergence
 from dtmpc_drake.planning.transcription import Transcription
 from dtmpc_drake.scenario import Planner, Scenario, Waypoint, load_scenario
-from dtmpc_drake.scenario.error import ScenarioError
 from tests.models_for_tests import make_problem
 
 

@@ -14,19 +14,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch, Polygon
 from pydrake.geometry import Meshcat, MeshcatParams
 
+from dtmpc_drake.disturbances import UniformHold
 from dtmpc_drake.models import IntegratorChain
 from dtmpc_drake.numerics.arrays import FloatArray
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Obstacle, ObstacleSet, Sphere
 from dtmpc_drake.planning import plan as make_plan
 from dtmpc_drake.records.plan import Plan
-from dtmpc_drake.scenario import (
-    Controller,
-    Limits,
-    Planner,
-    Scenario,
-    UniformHold,
-    Waypoint,
-)
+from dtmpc_drake.scenario import Controller, Limits, Planner, Scenario, Waypoint
 from dtmpc_drake.visualization import plot_histories, plot_plan, write_replay
 from dtmpc_drake.visualization.geometry import (
     embedding,

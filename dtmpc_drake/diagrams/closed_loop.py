@@ -14,11 +14,11 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, OutputPort, Syste
 
 from dtmpc_drake.diagrams.live_view import LiveView
 from dtmpc_drake.diagrams.trials import Trial
+from dtmpc_drake.disturbances import MakeDisturbance
 from dtmpc_drake.records.plan import Plan
-from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.scenario import Scenario, require_one_plan
 from dtmpc_drake.systems import (
     DtmpcPlanner,
-    MakeDisturbance,
     ObstacleSensor,
     Plant,
     SlidingModeTracker,
@@ -105,7 +105,7 @@ def MakeSideBySide(
     Raises:
         ScenarioError: if the scenario asks for plans on the way.
     """
-    scenario.require_one_plan()
+    require_one_plan(scenario)
     own = [trial.scenario(scenario) for trial in trials]
     initial_error = np.stack([one.initial_error_state() for one in own])
     builder = DiagramBuilder()

@@ -12,14 +12,14 @@ from pydrake.systems.framework import Context, Diagram, EventStatus
 from dtmpc_drake.diagrams.closed_loop import MakeClosedLoop, MakeSideBySide
 from dtmpc_drake.diagrams.recorder import Recorder
 from dtmpc_drake.diagrams.trials import Trial
+from dtmpc_drake.disturbances import SeedTrials
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.sampling import samples, step_times
 from dtmpc_drake.records import verdict
 from dtmpc_drake.records.flight import LOGGED, Flight
 from dtmpc_drake.records.flights import Flights
 from dtmpc_drake.records.plan import Plan
-from dtmpc_drake.scenario import Scenario
-from dtmpc_drake.systems import SeedTrials
+from dtmpc_drake.scenario import Scenario, require_stable_simulation
 
 Progress = Callable[[float], None]
 """Is called with the time of a flight, in s, after every step of its grid."""
@@ -45,7 +45,7 @@ def Simulate(
     Raises:
         ScenarioError: if the integrator's step is too long to be stable.
     """
-    scenario.require_stable_simulation()
+    require_stable_simulation(scenario)
     loop = MakeClosedLoop(scenario, plan=plan)
     context = loop.CreateDefaultContext()
     loop.SetRandomContext(context, RandomGenerator(scenario.simulation.seed))
@@ -108,7 +108,7 @@ def _side_by_side(
     scenario: Scenario, plan: Plan, trials: Sequence[Trial]
 ) -> tuple[Diagram, Context]:
     """The loop of many trials, and its Context with the seed of each."""
-    scenario.require_stable_simulation()
+    require_stable_simulation(scenario)
     loop = MakeSideBySide(scenario, plan=plan, trials=trials)
     context = loop.CreateDefaultContext()
     disturbance = loop.GetSubsystemByName("disturbance")

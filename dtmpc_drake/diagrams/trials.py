@@ -9,7 +9,7 @@ import numpy as np
 
 from dtmpc_drake.method.sliding import sliding_variable
 from dtmpc_drake.numerics.arrays import Array
-from dtmpc_drake.scenario import Scenario, Waypoint, WorstCase
+from dtmpc_drake.scenario import Scenario, Waypoint
 
 SPREAD = 4.0
 """How many times longer or shorter a worst case holds its push in some trials."""
@@ -29,8 +29,8 @@ class Trial:
         parameters: of the true plant, by name; without effect where the disturbance
             chooses the model error.
         initial_error: of the plant; None for none.
-        patience: how many times longer than the scenario says a `WorstCase` that
-            reverses its push holds it.
+        patience: how many times longer than the scenario says a disturbance is to
+            hold its push; see `Disturbance.drawn`.
     """
 
     index: int
@@ -41,16 +41,11 @@ class Trial:
 
     def scenario(self, scenario: Scenario) -> Scenario:
         """The scenario of this trial alone, to be simulated by itself."""
-        disturbance = scenario.disturbance
-        if isinstance(disturbance, WorstCase) and disturbance.hold is not None:
-            disturbance = dataclasses.replace(
-                disturbance, hold=self.patience * disturbance.hold
-            )
         return dataclasses.replace(
             scenario,
             plant=dict(self.parameters),
             initial_error=self.initial_error,
-            disturbance=disturbance,
+            disturbance=scenario.disturbance.drawn(patience=self.patience),
             simulation=dataclasses.replace(scenario.simulation, seed=self.seed),
         )
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from dtmpc_drake.disturbances import Disturbance
 from dtmpc_drake.experiments.monte_carlo import (
     BATCH_SIZE,
-    KINDS,
     Batch,
     choose_disturbances,
     fly_all,
@@ -31,11 +31,14 @@ from dtmpc_drake.planning.baselines import (
     solve,
 )
 from dtmpc_drake.records.flights import Flights
-from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.scenario import (
+    Scenario,
+    require_one_plan,
+    require_stable_simulation,
+    require_trials,
+)
 from dtmpc_drake.visualization.figures import Panel, plot_plans
 
-DISTURBANCES = tuple(name for name in KINDS if name != "uniform")
-"""What every plan has to fly through: the hard ones."""
 _OF_A_PLAN = (
     "cost",
     "input_cost",
@@ -59,7 +62,7 @@ class Row:
 
     Attributes:
         outcome: of planning.
-        flights: through all of `DISTURBANCES`; None without a plan.
+        flights: through all of `chosen_disturbances`; None without a plan.
     """
 
     outcome: Outcome
@@ -158,7 +161,7 @@ def run(
         scenario: the whole experiment; its seed decides every trial, which are
             the same for all baselines.
         out: directory; ``out/<name of the scenario>_compare`` if left out.
-        trials: of each plan, shared by `DISTURBANCES` and rounded up.
+        trials: of each plan, shared by all disturbances and rounded up.
         batch_size: trials in one diagram; the results do not depend on it.
         scheduler: address of an existing Dask cluster.
         start: is called with the number of all trials before they fly.
@@ -169,12 +172,12 @@ def run(
         OSError: if the directory cannot be written.
     """
     scenario.validate()
-    scenario.require_one_plan()
+    require_one_plan(scenario)
     # Baselines are flown with bandwidths up to the largest.
     bandwidth = dataclasses.replace(scenario.controller.bandwidth, fixed=None)
     controller = dataclasses.replace(scenario.controller, bandwidth=bandwidth)
-    dataclasses.replace(scenario, controller=controller).require_stable_simulation()
-    scenario.require_trials(trials, batch_size)
+    require_stable_simulation(dataclasses.replace(scenario, controller=controller))
+    require_trials(scenario, trials, batch_size)
     batches(trials, batch_size)  # refuses none, too
     out = Path("out", f"{scenario.name}_compare") if out is None else Path(out)
     with replacing(out, OUTPUTS) as work:
@@ -184,12 +187,10 @@ def run(
             if outcome.plan is None:
                 continue
             own = outcome.baseline.scenario
-            for name in DISTURBANCES:
-                pushed = dataclasses.replace(
-                    own, disturbance=choose_disturbances(own, name)[name]
-                )
+            for name, disturbance in chosen_disturbances(own).items():
+                pushed = dataclasses.replace(own, disturbance=disturbance)
                 flown[f"{outcome.baseline.name} {name}"] = pushed, outcome.plan
-        each = -(-trials // len(DISTURBANCES))
+        each = -(-trials // len(chosen_disturbances(scenario)))
         if start is not None:
             start(each * len(flown))
         flights = fly_all(
@@ -204,6 +205,12 @@ def run(
             )
         files = _write(scenario, rows, work)
     return Comparison(scenario, rows, placed(files, work, out))
+
+
+def chosen_disturbances(scenario: Scenario) -> dict[str, Disturbance]:
+    """What every plan has to fly through: all kinds, without the mildest."""
+    chosen = choose_disturbances(scenario, "all")
+    return {name: made for name, made in chosen.items() if name != "uniform"}
 
 
 def _write(scenario: Scenario, rows: dict[str, Row], out: Path) -> list[Path]:
@@ -223,7 +230,7 @@ def _write(scenario: Scenario, rows: dict[str, Row], out: Path) -> list[Path]:
         {
             "scenario": scenario.name,
             "seed": scenario.simulation.seed,
-            "disturbances": list(DISTURBANCES),
+            "disturbances": list(chosen_disturbances(scenario)),
             "currency": currency(scenario),
             "advantage": advantage(rows),
             "baselines": [
@@ -347,7 +354,8 @@ def to_text(scenario: Scenario, rows: dict[str, Row]) -> str:
         "of the nominal plan the highest, with which it is flown; plan s: of a whole "
         "sweep;",
         "tube: Ω over time and axes, m; effort: ∫‖u‖² dt of the median flight;",
-        f"flights through {', '.join(DISTURBANCES)}; clearance: smallest, m;",
+        f"flights through {', '.join(chosen_disturbances(scenario))}; clearance: "
+        "smallest, m;",
         "violations: flights that left layer or tubes, broke a limit, were not finite",
     ]
     if factor is not None:

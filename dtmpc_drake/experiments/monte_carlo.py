@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from dtmpc_drake.diagrams import FlyTrials, draw_trials
+from dtmpc_drake.disturbances import DISTURBANCES, Disturbance
+from dtmpc_drake.errors import require
 from dtmpc_drake.experiments.outputs import placed, replacing
 from dtmpc_drake.experiments.simulate import color_of, summarize, write_json
 from dtmpc_drake.experiments.spread import batches, spread
@@ -17,50 +19,15 @@ from dtmpc_drake.records.flights import Flights, save_flights
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.records.result import PlanningResult
 from dtmpc_drake.scenario import (
-    BangBang,
-    ColoredWind,
-    Disturbance,
-    Gust,
     Scenario,
-    UniformHold,
-    WorstCase,
+    require_one_plan,
+    require_stable_simulation,
+    require_trials,
 )
-from dtmpc_drake.scenario.error import ScenarioError
 from dtmpc_drake.visualization import plot_plan, plot_quantiles, write_replay
 
-KINDS: dict[str, Callable[[list[float]], Disturbance]] = {
-    "uniform": lambda bound: UniformHold(bound=bound),
-    "bang_bang": lambda bound: BangBang(bound=bound),
-    "worst_case": lambda bound: WorstCase(bound=bound, hold=1.5, model_error=True),
-    "wind": lambda bound: ColoredWind(bound=bound, intensity=1.0),
-    "gust": lambda bound: Gust(bound=bound, model_error=True),
-}
-"""What `choose_disturbances` makes of a bound D."""
-
-
-def choose_disturbances(scenario: Scenario, choice: str) -> dict[str, Disturbance]:
-    """The disturbances to fly through, by name, all with the scenario's bound.
-
-    Args:
-        scenario: whose own disturbance stands in for the one of its kind, but for a
-            worst case that does not reverse: of that there are too few flights.
-        choice: one of `KINDS`, ``all`` of them, or ``scenario`` for its own.
-
-    Raises:
-        ScenarioError: if the choice is none of these.
-    """
-    own = scenario.disturbance
-    if choice == "scenario":
-        return {choice: own}
-    names = list(KINDS) if choice == "all" else [choice]
-    if not set(names) <= set(KINDS):
-        allowed = ", ".join((*KINDS, "all", "scenario"))
-        raise ScenarioError("disturbance", choice, f"one of {allowed}")
-    made = {name: KINDS[name](list(own.bound)) for name in names}
-    varied = not isinstance(own, WorstCase) or own.hold is not None
-    return {n: own if varied and type(own) is type(d) else d for n, d in made.items()}
-
-
+OWN = "all", "scenario"
+"""Of `choose_disturbances`: all kinds, and the disturbance of the scenario."""
 BATCH_SIZE = 250
 """Large enough to pay, small enough for many workers and little memory."""
 OUTPUTS = (
@@ -70,6 +37,47 @@ OUTPUTS = (
     "monte_carlo.npz",
     "summary.json",
 )
+
+
+def hard_disturbances(bound: list[float]) -> dict[str, Disturbance]:
+    """One of each registered kind that has a short name, by that name.
+
+    Raises:
+        ScenarioError: if two kinds have the same one.
+    """
+    made: dict[str, Disturbance] = {}
+    for kind in DISTURBANCES:
+        name = kind.short_name
+        if name is not None:
+            ok = name not in (*made, *OWN)
+            require(f"{kind.__name__}.short_name", name, ok, "that of no other kind")
+            made[name] = kind.hard(list(bound))
+    return made
+
+
+def choose_disturbances(scenario: Scenario, choice: str) -> dict[str, Disturbance]:
+    """The disturbances to fly through, by name, all with the scenario's bound.
+
+    Args:
+        scenario: whose own disturbance stands in for the one of its kind, but for a
+            worst case that does not reverse: of that there are too few flights.
+        choice: a name of `hard_disturbances`, ``all`` of them, or ``scenario`` for
+            its own.
+
+    Raises:
+        ScenarioError: if the choice is none of these.
+    """
+    own = scenario.disturbance
+    if choice == "scenario":
+        return {choice: own}
+    made = hard_disturbances(own.bound)
+    allowed = ", ".join((*made, *OWN))
+    require("disturbance", choice, choice in (*made, "all"), f"one of {allowed}")
+    return {
+        name: own if own.is_varied and type(own) is type(kind) else kind
+        for name, kind in made.items()
+        if choice in (name, "all")
+    }
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -227,12 +235,12 @@ def run(
         OSError: if the directory cannot be written.
     """
     scenario.validate()
-    scenario.require_one_plan()
+    require_one_plan(scenario)
     chosen = choose_disturbances(scenario, disturbance)
     for one in chosen.values():
         pushed = dataclasses.replace(scenario, disturbance=one)
-        pushed.require_stable_simulation()
-        pushed.require_trials(trials, batch_size)
+        require_stable_simulation(pushed)
+        require_trials(pushed, trials, batch_size)
     batches(trials, batch_size)  # refuses none, too
     out = Path("out", f"{scenario.name}_monte_carlo") if out is None else Path(out)
     flights: dict[str, Flights] = {}

@@ -19,7 +19,7 @@ from dtmpc_drake.records.flight import Flight
 from dtmpc_drake.records.replan import counted, table
 from dtmpc_drake.records.result import Iteration, PlanningResult
 from dtmpc_drake.records.verdict import Breach, in_one_line
-from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.scenario import Scenario, require_stable_simulation
 from dtmpc_drake.visualization import (
     plot_candidates,
     plot_histories,
@@ -129,7 +129,7 @@ def run(
     sides, and `REPLANS` if there may be more plans on the way; ``plan.npz`` is then
     what was in force at each time.  Any other gives ``summary.json`` and a figure of
     the attempt.  All take their places at the end, and outputs of an earlier run
-    that these do not replace are set aside; see `dtmpc_drake.experiments.outputs.replacing`.
+    that these do not replace are set aside; see `experiments.outputs.replacing`.
 
     Args:
         scenario: the whole experiment.
@@ -142,7 +142,7 @@ def run(
         OSError: if the directory cannot be written.
     """
     scenario.validate()
-    scenario.require_stable_simulation()
+    require_stable_simulation(scenario)
     out = Path("out", scenario.name) if out is None else Path(out)
     with replacing(out, (*OUTPUTS, ATTEMPT, CANDIDATES, REPLANS)) as work:
         ended = _run(scenario, work, report, progress)

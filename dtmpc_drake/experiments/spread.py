@@ -7,8 +7,9 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
+from dtmpc_drake.errors import ScenarioError
 from dtmpc_drake.logs import quiet
-from dtmpc_drake.scenario.error import ScenarioError
+from dtmpc_drake.plugins import load_plugins, loaded_plugins
 
 PATIENCE = 10.0
 """How long an existing scheduler may take to answer, in s."""
@@ -48,7 +49,8 @@ def spread(
 
     Args:
         function: must be importable where the workers run, and give the same
-            for the same item, since it may be called twice.
+            for the same item, since it may be called twice.  Plugins that are loaded
+            here are loaded there, from the same paths.
         items: one a task.
         scheduler: address of an existing cluster, such as
             ``tcp://127.0.0.1:8786``.
@@ -68,10 +70,15 @@ def spread(
 
     # Only here: importing it takes longer than flying a few trials.
     from distributed import as_completed
+    from distributed.protocol.pickle import dumps
 
     with _connected(scheduler, tasks=len(items)) as client:
         # Every task carries all it needs: what is scattered dies with a worker.
-        futures = [client.submit(function, item, pure=False) for item in items]
+        plugins = loaded_plugins()
+        futures = [
+            client.submit(_task, plugins, dumps((function, item)), pure=False)
+            for item in items
+        ]
         if scheduler is not None:
             _wait_for_workers(client, scheduler)
         numbers = {future.key: i for i, future in enumerate(futures)}
@@ -80,6 +87,15 @@ def spread(
             collected[numbers[future.key]] = result
             done(items[numbers[future.key]])
     return [collected[i] for i in range(len(items))]
+
+
+def _task(plugins: Sequence[str], call: bytes) -> Any:
+    """What a worker does: the item may be of classes that a plugin has."""
+    from distributed.protocol.pickle import loads
+
+    load_plugins(plugins)
+    function, item = loads(call)
+    return function(item)
 
 
 @contextlib.contextmanager

@@ -137,7 +137,9 @@ class SampledLimit(Limit):
             value = getattr(at, name)
             moves = STEP * np.eye(value.shape[1])[:, None]
             ahead, behind = (
-                self.margins(law, dataclasses.replace(at, **{name: value + sign * moves}))
+                self.margins(
+                    law, dataclasses.replace(at, **{name: value + sign * moves})
+                )
                 for sign in (1.0, -1.0)
             )
             return np.asarray(np.moveaxis((ahead - behind) / (2 * STEP), 0, -1))
@@ -189,12 +191,16 @@ class LinearLimit(Limit):
         """See base class."""
         normals = self.normals(law.num_outputs)
         used = deviation_bound(law, at, self.derivative) @ np.abs(normals).T
-        return np.asarray(self.bounds - at.derivative(self.derivative) @ normals.T - used)
+        return np.asarray(
+            self.bounds - at.derivative(self.derivative) @ normals.T - used
+        )
 
     def proven(self, enclosure: Enclosure) -> Array:
         """See base class; Taylor's formula about the middle of each interval."""
         k, reference = self.derivative, enclosure.reference
         normals = self.normals(enclosure.law.num_outputs)
-        spread = reference.radius(k) + deviation_bound(enclosure.law, enclosure.instant, k)
+        spread = reference.radius(k) + deviation_bound(
+            enclosure.law, enclosure.instant, k
+        )
         middle = reference.derivatives[:, k] @ normals.T
         return np.asarray(self.bounds - middle - spread @ np.abs(normals).T)

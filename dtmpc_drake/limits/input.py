@@ -81,7 +81,7 @@ class InputLimit(SampledLimit):
         model, n, m = law.model, law.order, law.num_outputs
         parts = Parts(
             {
-                "drift_bound": model.drift_bound,
+                "drift_bound_over": model.drift_bound_over,
                 "own": lambda x, _: model.model_error_bound(x),
                 "largest": model.model_error_bound_over,
                 "inverse": lambda x, _: model.inverse_input_matrix(x),
@@ -94,7 +94,7 @@ class InputLimit(SampledLimit):
         # Theorem 2, as in `tightening.feedback_bound`.
         largest, by_largest = parts["largest"]
         own, by_own = parts["own"]
-        limit, by_limit = parts["drift_bound"]
+        limit, by_limit = parts["drift_bound_over"]
         c = law.coefficients
         excess = at.gain - own + largest / 2
         size = magnitude(excess)

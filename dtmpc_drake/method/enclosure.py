@@ -15,7 +15,6 @@ from dtmpc_drake.method.tightening import Instant
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.polynomials import Polynomial
 
-
 THINNEST = 1e-12
 """Boundary layer that is divided by, in m/s; one so thin is no layer at all."""
 

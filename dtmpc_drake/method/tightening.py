@@ -65,7 +65,7 @@ def feedback_bound(law: SlidingLaw, at: Instant) -> Array:
     # Δ(x*) - κ, written without a maximum.
     excess = at.gain - model.model_error_bound(at.state)
     switching = largest / 2 + magnitude(excess + largest / 2) + at.gain_radius
-    return np.asarray(model.drift_bound(at.state, at.box) + damping + switching)
+    return np.asarray(model.drift_bound_over(at.state, at.box) + damping + switching)
 
 
 def input_bound(law: SlidingLaw, at: Instant) -> Array:

@@ -4,16 +4,22 @@ A model answers for itself: its nominal dynamics, the bound of its error, and th
 of both over a box.  Nothing of limits, tubes or plans may enter here.
 """
 
-from dtmpc_drake.models.base import Model
-from dtmpc_drake.models.chain import IntegratorChain
-from dtmpc_drake.models.constant import ConstantUncertainty
+# In this order they are named; a section of a file without a tag is of the first.
+# isort: off
 from dtmpc_drake.models.drag import DragDoubleIntegrator
+from dtmpc_drake.models.chain import IntegratorChain
+
+# isort: on
+from dtmpc_drake.models.base import MODELS, Model, register_model
+from dtmpc_drake.models.constant import ConstantUncertainty
 from dtmpc_drake.models.sampled import SampledBoxBounds
 
 __all__ = [
+    "MODELS",
     "ConstantUncertainty",
     "DragDoubleIntegrator",
     "IntegratorChain",
     "Model",
     "SampledBoxBounds",
+    "register_model",
 ]

@@ -1,4 +1,4 @@
-"""TODO."""
+"""What a model of a plant must say of itself."""
 
 import abc
 from collections.abc import Mapping
@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 from pydrake.math import inv as drake_inv
 
+from dtmpc_drake.checks import Setting
 from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.registry import Registry
 
 
 class Model(abc.ABC):
@@ -25,6 +27,39 @@ class Model(abc.ABC):
     """n, the order of every output."""
     parameter_names: tuple[str, ...] = ()
     """Names of the parameters of the true plant."""
+    length_unit: str = "m"
+    """Of every output; times are in seconds."""
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Of the outputs, for a reader: x, y and z, or their numbers."""
+        m = self.num_outputs
+        return tuple("xyz"[:m]) if m <= 3 else tuple(str(i) for i in range(m))
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Of the inputs, for a reader; u and the number of each."""
+        return tuple(f"u{i}" for i in range(self.num_outputs))
+
+    def derivative_unit(self, order: int) -> str:
+        """The unit of a derivative of an output, such as ``m/s²``."""
+        power = "".join("⁰¹²³⁴⁵⁶⁷⁸⁹"[int(digit)] for digit in str(order))
+        seconds = {0: "", 1: "/s"}.get(order, f"/s{power}")
+        return f"{self.length_unit}{seconds}"
+
+    def check(self, path: str, setting: Setting) -> None:
+        """Refuses fields that make no sense; there are none unless overridden.
+
+        All fields of a dataclass are of the types that it says, and finite.
+
+        Args:
+            path: of the model's section, for errors.
+            setting: what it is part of.
+
+        Raises:
+            ScenarioError: that names the field.
+        """
+        return
 
     @abc.abstractmethod
     def drift(self, x: Array) -> Array:
@@ -42,7 +77,7 @@ class Model(abc.ABC):
         """Δ(x), the bound of ``|F(x) - F̂(x)|`` (assumption 1); as `drift`."""
 
     @abc.abstractmethod
-    def drift_bound(self, x: Array, radius: Array) -> Array:
+    def drift_bound_over(self, x: Array, radius: Array) -> Array:
         """An upper bound of ``|F̂|`` over the box ``|x' - x| <= radius``.
 
         Args:
@@ -55,11 +90,11 @@ class Model(abc.ABC):
 
     @abc.abstractmethod
     def model_error_bound_over(self, x: Array, radius: Array) -> Array:
-        """Δ̄, an upper bound of Δ over the box; as `drift_bound`."""
+        """Δ̄, an upper bound of Δ over the box; as `drift_bound_over`."""
 
     @abc.abstractmethod
     def model_error_bound_under(self, x: Array, radius: Array) -> Array:
-        """A lower bound of Δ over the box; as `drift_bound`.
+        """A lower bound of Δ over the box; as `drift_bound_over`.
 
         Only the certificate asks, for the smallest bandwidth between samples.
         """
@@ -138,3 +173,7 @@ class Model(abc.ABC):
         raise NotImplementedError(
             f"{type(self).__name__} gives no constant bound of its model error"
         )
+
+
+MODELS: Registry[Model] = Registry(Model, "register_model")
+register_model = MODELS.register

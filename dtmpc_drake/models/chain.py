@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from dtmpc_drake.models.base import Model
+from dtmpc_drake.checks import Setting, require_not_negative
+from dtmpc_drake.models.base import Model, register_model
 from dtmpc_drake.numerics.arrays import Array
 
 
+@register_model
 @dataclasses.dataclass
 class IntegratorChain(Model):
     """m chains of n integrators with an additive model error, B = I.
@@ -29,6 +31,10 @@ class IntegratorChain(Model):
     # The true model error of every output, in output unit / s^n.
     parameter_names = ("model_error",)
 
+    def check(self, path: str, setting: Setting) -> None:
+        """See base class."""
+        require_not_negative(f"{path}.error_bound", self.error_bound, "m/s²")
+
     def drift(self, x: Array) -> Array:
         """F̂ = 0."""
         return np.asarray(0.0 * x[..., 0, :])
@@ -42,7 +48,7 @@ class IntegratorChain(Model):
         """Δ, a constant."""
         return np.asarray(self.drift(x) + self.error_bound)
 
-    def drift_bound(self, x: Array, radius: Array) -> Array:
+    def drift_bound_over(self, x: Array, radius: Array) -> Array:
         """See base class."""
         return self.drift(x)
 

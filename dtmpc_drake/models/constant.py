@@ -34,9 +34,9 @@ class ConstantUncertainty(Model):
         """See base class."""
         return self.model.drift(x)
 
-    def drift_bound(self, x: Array, radius: Array) -> Array:
+    def drift_bound_over(self, x: Array, radius: Array) -> Array:
         """See base class."""
-        return self.model.drift_bound(x, radius)
+        return self.model.drift_bound_over(x, radius)
 
     def true_drift(self, x: Array, parameters: Mapping[str, Any]) -> Array:
         """See base class."""

@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from dtmpc_drake.models.base import Model
+from dtmpc_drake.checks import Setting, require_not_negative
+from dtmpc_drake.models.base import Model, register_model
 from dtmpc_drake.numerics.arrays import Array, euclidean_norm, magnitude
 
 
+@register_model
 @dataclasses.dataclass
 class DragDoubleIntegrator(Model):
     """The paper's collision avoidance model (section VI): a point with drag.
@@ -29,6 +31,11 @@ class DragDoubleIntegrator(Model):
     num_outputs = 3
     order = 2
     parameter_names = ("drag",)
+
+    def check(self, path: str, setting: Setting) -> None:
+        """See base class."""
+        for name in ("drag_estimate", "drag_error_bound"):
+            require_not_negative(f"{path}.{name}", getattr(self, name), "1/m")
 
     def drift(self, x: Array) -> Array:
         """F̂ = -Ĉ_d ‖ṙ‖ ṙ."""
@@ -54,7 +61,7 @@ class DragDoubleIntegrator(Model):
         x = np.asarray(x)
         return np.asarray((magnitude(x) + radius)[..., 1:2, :].repeat(2, axis=-2))
 
-    def drift_bound(self, x: Array, radius: Array) -> Array:
+    def drift_bound_over(self, x: Array, radius: Array) -> Array:
         """See base class; exact, since drag is monotone in every speed."""
         return -self.drift(self._largest_velocity(x, radius))
 

@@ -24,7 +24,7 @@ class SampledBoxBounds(Model):
         lead = (1,) * (x.ndim - 2)
         return np.asarray(x + signs.reshape(-1, *lead, n, m) * radius)
 
-    def drift_bound(self, x: Array, radius: Array) -> Array:
+    def drift_bound_over(self, x: Array, radius: Array) -> Array:
         """See base class."""
         return np.asarray(np.abs(self.drift(self._corners(x, radius))).max(axis=0))
 

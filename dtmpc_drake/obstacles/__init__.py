@@ -4,16 +4,16 @@ An obstacle answers for itself: nobody outside of this package knows how it is
 described.  Nothing may enter here that plans, proves or draws.
 """
 
-from dtmpc_drake.obstacles.base import Fault, Obstacle, obstacle_kind
+from dtmpc_drake.obstacles.base import OBSTACLES, Obstacle, register_obstacle
 from dtmpc_drake.obstacles.ellipsoids import Cylinder, Ellipsoid, Sphere
 from dtmpc_drake.obstacles.field import ObstacleSet
 
 __all__ = [
+    "OBSTACLES",
     "Cylinder",
     "Ellipsoid",
-    "Fault",
     "Obstacle",
     "ObstacleSet",
     "Sphere",
-    "obstacle_kind",
+    "register_obstacle",
 ]

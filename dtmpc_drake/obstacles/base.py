@@ -18,28 +18,17 @@ not see z, and an ellipsoid is a ball.
 import abc
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from dtmpc_drake.checks import Setting, require_magnitude
+from dtmpc_drake.errors import require
 from dtmpc_drake.numerics.arrays import FloatArray
+from dtmpc_drake.registry import Registry
 
 Indices = npt.NDArray[np.intp]
-
-
-class Fault(NamedTuple):
-    """What is wrong with an obstacle.
-
-    Attributes:
-        field: of the obstacle.
-        value: that it has.
-        allowed: what it must be, in words.
-    """
-
-    field: str
-    value: Any
-    allowed: str
 
 
 class Cores(Protocol):
@@ -72,6 +61,8 @@ class Obstacle(abc.ABC):
             or, with a sensor, as soon as that reaches it.
     """
 
+    required: ClassVar[tuple[str, ...]] = ()
+    """Fields that a file must give, though they have a default."""
     known_from: float | None = dataclasses.field(default=None, kw_only=True)
 
     @abc.abstractmethod
@@ -111,9 +102,22 @@ class Obstacle(abc.ABC):
         directions = np.concatenate([np.eye(rows), -np.eye(rows)])
         return self.support(directions).mean(axis=0)
 
-    def faults(self, num_outputs: int) -> Sequence[Fault]:
-        """What is wrong with its fields in a scenario with so many outputs."""
-        return ()
+    def check(self, path: str, setting: Setting) -> None:
+        """Refuses fields that make no sense; extended by whoever has more of them.
+
+        All of them are of the types that the dataclass says, and finite.
+
+        Args:
+            path: of this section, for errors.
+            setting: what it must fit.
+
+        Raises:
+            ScenarioError: that names the field.
+        """
+        since, field = self.known_from or 0.0, f"{path}.known_from"
+        require_magnitude(field, since, "s")
+        end = setting.duration
+        require(field, since, 0 <= since < end, f"in [0, duration = {end:g}) s")
 
     @classmethod
     def cores(cls, members: Sequence[Any]) -> Cores | None:
@@ -156,13 +160,5 @@ class OneByOne:
         return answer
 
 
-KINDS: list[type[Obstacle]] = []
-"""The kinds that a scenario may have, in the order in which messages name them."""
-
-Kind = TypeVar("Kind", bound=type[Obstacle])
-
-
-def obstacle_kind(kind: Kind) -> Kind:
-    """Makes a dataclass a kind of obstacle that scenarios may have; a decorator."""
-    KINDS.append(kind)
-    return kind
+OBSTACLES: Registry[Obstacle] = Registry(Obstacle, "register_obstacle")
+register_obstacle = OBSTACLES.register

@@ -10,8 +10,15 @@ from typing import Any
 
 import numpy as np
 
+from dtmpc_drake.checks import (
+    Setting,
+    require_length,
+    require_magnitude,
+    require_positive,
+)
+from dtmpc_drake.errors import require
 from dtmpc_drake.numerics.arrays import FloatArray
-from dtmpc_drake.obstacles.base import Fault, Obstacle, obstacle_kind
+from dtmpc_drake.obstacles.base import Obstacle, register_obstacle
 
 
 class Ball(Obstacle, abc.ABC):
@@ -26,6 +33,7 @@ class Ball(Obstacle, abc.ABC):
 
     center: list[float]
     radius: float
+    required = ("center", "radius")
 
     def swept_radius(self) -> float:
         """See base class."""
@@ -52,15 +60,19 @@ class Ball(Obstacle, abc.ABC):
         """p_c, in the image of H."""
         return np.asarray(self.center, dtype=float)
 
-    def faults(self, num_outputs: int) -> Sequence[Fault]:
+    def check(self, path: str, setting: Setting) -> None:
         """See base class."""
-        if len(self.center) == num_outputs:
-            return ()
-        allowed = f"{num_outputs} numbers, one for each output"
-        return [Fault("center", self.center, allowed)]
+        self._check_center(f"{path}.center", setting.num_outputs)
+        for i, value in enumerate(self.center):
+            require_magnitude(f"{path}.center[{i}]", value, "m")
+        require_positive(f"{path}.radius", self.radius, "m")
+        super().check(path, setting)
+
+    def _check_center(self, field: str, num_outputs: int) -> None:
+        require_length(field, self.center, num_outputs)
 
 
-@obstacle_kind
+@register_obstacle
 @dataclasses.dataclass
 class Cylinder(Ball):
     """A cylinder along z (a disc for a planar vehicle).
@@ -77,14 +89,12 @@ class Cylinder(Ball):
         """H, which drops all but the first two outputs."""
         return np.eye(2, num_outputs)
 
-    def faults(self, num_outputs: int) -> Sequence[Fault]:
-        """See base class."""
-        if len(self.center) == 2 and num_outputs >= 2:
-            return ()
-        return [Fault("center", self.center, "2 numbers (x, y in m)")]
+    def _check_center(self, field: str, num_outputs: int) -> None:
+        ok = len(self.center) == 2 and num_outputs >= 2
+        require(field, self.center, ok, "2 numbers (x, y in m)")
 
 
-@obstacle_kind
+@register_obstacle
 @dataclasses.dataclass
 class Sphere(Ball):
     """A ball in all outputs.
@@ -98,7 +108,7 @@ class Sphere(Ball):
     radius: float = 1.0
 
 
-@obstacle_kind
+@register_obstacle
 @dataclasses.dataclass
 class Ellipsoid(Ball):
     """The general shape: all r with ``‖H (r - center)‖ < radius``.
@@ -122,12 +132,13 @@ class Ellipsoid(Ball):
     def _point(self) -> FloatArray:
         return self.shape_matrix(len(self.center)) @ np.asarray(self.center, float)
 
-    def faults(self, num_outputs: int) -> Sequence[Fault]:
+    def check(self, path: str, setting: Setting) -> None:
         """See base class."""
-        H, faults = self.shape, list(super().faults(num_outputs))
-        if not (1 <= len(H) <= 100 and all(len(row) == num_outputs for row in H)):
-            rows = f"rows of {num_outputs} numbers each, at most 100"
-            faults.append(Fault("shape", H, rows))
-        elif not np.any(H):
-            faults.append(Fault("shape", H, "a matrix that is not zero"))
-        return faults
+        m, H, field = setting.num_outputs, self.shape, f"{path}.shape"
+        ok = 1 <= len(H) <= 100 and all(len(row) == m for row in H)
+        require(field, H, ok, f"rows of {m} numbers each, at most 100")
+        require(field, H, bool(np.any(H)), "a matrix that is not zero")
+        for i, row in enumerate(H):
+            for j, value in enumerate(row):
+                require_magnitude(f"{field}[{i}][{j}]", value, "")
+        super().check(path, setting)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dtmpc_drake.numerics.arrays import Array, BoolArray, FloatArray
-from dtmpc_drake.obstacles.base import KINDS, Cores, Indices, Obstacle
+from dtmpc_drake.obstacles.base import OBSTACLES, Cores, Indices, Obstacle
 from dtmpc_drake.obstacles.normals import nearest_of_box
 
 _SWEEPS = 50
@@ -64,12 +64,10 @@ class ObstacleSet:
         """Stacks the obstacles of a scenario with `num_outputs` outputs.
 
         Raises:
-            TypeError: if one is of no kind that is known here, a subclass included.
+            ScenarioError: if one is of no registered class, a subclass included.
         """
-        for o in obstacles:
-            if type(o) not in KINDS:
-                known = ", ".join(kind.__name__ for kind in KINDS)
-                raise TypeError(f"{type(o).__name__} is no obstacle; there are {known}")
+        for i, obstacle in enumerate(obstacles):
+            OBSTACLES.require(f"obstacles[{i}]", obstacle)
         matrices = [o.shape_matrix(num_outputs) for o in obstacles]
         count, rows = len(obstacles), max((len(H) for H in matrices), default=1)
         shape = np.zeros((count, rows, num_outputs))

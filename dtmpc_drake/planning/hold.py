@@ -33,7 +33,9 @@ def hold_plan(scenario: Scenario) -> Plan:
     rest[0] = start[0]
     error = start + scenario.initial_error_state() - rest[:n]
     # A hair inside the limit, where plans may go on from it.
-    highest = np.full(m, bandwidth.fixed or bandwidth.max * (1 - HAIR))
+    highest = np.full(m, bandwidth.interval()[1])
+    if bandwidth.fixed is None:
+        highest *= 1 - HAIR
     layer = np.maximum(
         scenario.initial_boundary_layer(), np.abs(law.sliding_variable(error))
     )

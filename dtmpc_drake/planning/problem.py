@@ -71,9 +71,7 @@ class Problem:
             known = scenario.known_at_start()
         law = scenario.sliding_law()
         bandwidth = scenario.controller.bandwidth
-        low, high = bandwidth.min, bandwidth.max
-        if bandwidth.fixed is not None:
-            low = high = bandwidth.fixed
+        low, high = bandwidth.interval()
         m = law.num_outputs
         velocity_bound: VelocityBound = (
             "paper" if scenario.planner.velocity_bound == "paper" else "comparison"

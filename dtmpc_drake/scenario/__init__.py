@@ -1,6 +1,15 @@
-"""Whole experiments: their fields, what the fields must say together, and files."""
+"""Whole experiments: their fields, what the fields must say, and files.
 
-from dtmpc_drake.scenario.error import ScenarioError
+Three parts: `schema` holds the dataclasses, `check` what they must say by themselves
+and together, `files` reads and writes them.  Nothing here plans or flies.
+"""
+
+from dtmpc_drake.errors import ScenarioError
+from dtmpc_drake.scenario.check import (
+    require_one_plan,
+    require_stable_simulation,
+    sensing_range_needed,
+)
 from dtmpc_drake.scenario.files import (
     SHIPPED,
     load_scenario,
@@ -9,45 +18,34 @@ from dtmpc_drake.scenario.files import (
 )
 from dtmpc_drake.scenario.schema import (
     Bandwidth,
-    BangBang,
-    ColoredWind,
-    Constant,
     Controller,
     Cost,
-    Disturbance,
-    Gust,
     Limits,
-    ModelConfig,
     Planner,
     Scenario,
     Sensing,
     Simulation,
-    UniformHold,
     Waypoint,
-    WorstCase,
 )
+from dtmpc_drake.scenario.size import require_trials
 
 __all__ = [
     "SHIPPED",
     "Bandwidth",
-    "BangBang",
-    "ColoredWind",
-    "Constant",
     "Controller",
     "Cost",
-    "Disturbance",
-    "Gust",
     "Limits",
-    "ModelConfig",
     "Planner",
     "Scenario",
     "ScenarioError",
     "Sensing",
     "Simulation",
-    "UniformHold",
     "Waypoint",
-    "WorstCase",
     "load_scenario",
     "parse_scenario",
+    "require_one_plan",
+    "require_stable_simulation",
+    "require_trials",
+    "sensing_range_needed",
     "shipped_scenarios",
 ]

@@ -1,17 +1,31 @@
-"""Scenarios that come with the package or from anybody's file."""
+"""Scenarios that come with the package or from anybody's file, and back to text.
 
+A text becomes sections in one pass (`text`), and these become typed dataclasses
+(`typed`).  Writing goes the other way, with a tag for every registered class.
+"""
+
+from __future__ import annotations
+
+import dataclasses
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
-from dtmpc_drake.scenario.error import ScenarioError
+import yaml
+
+from dtmpc_drake.disturbances import DISTURBANCES
+from dtmpc_drake.errors import ScenarioError, require
+from dtmpc_drake.models import MODELS
+from dtmpc_drake.obstacles import OBSTACLES
+from dtmpc_drake.scenario.check import validate_values
 from dtmpc_drake.scenario.schema import Scenario
 from dtmpc_drake.scenario.text import read_text, read_yaml
-from dtmpc_drake.scenario.typed import typed
+from dtmpc_drake.scenario.typed import is_writable, typed
 
 SHIPPED = resources.files("dtmpc_drake.scenario")
 
 
-# Reading files.
+# Reading.
 
 
 def shipped_scenarios() -> list[str]:
@@ -51,5 +65,55 @@ def load_scenario(source: str | Path) -> Scenario:
 def parse_scenario(text: str) -> Scenario:
     """Builds and validates a scenario from YAML text; errors as `load_scenario`."""
     scenario: Scenario = typed(Scenario, read_yaml(text), "")
-    scenario.validate()
+    validate_values(scenario)
     return scenario
+
+
+# Writing.
+
+
+def to_yaml(scenario: Scenario) -> str:
+    """A scenario as a text that `parse_scenario` reads.
+
+    Raises:
+        ScenarioError: if something is of a class that no file can name.
+    """
+    checked: Scenario = typed(Scenario, scenario, "")
+    parts = {"model": checked.model, "disturbance": checked.disturbance}
+    parts |= {f"obstacles[{i}]": one for i, one in enumerate(checked.obstacles)}
+    for field, part in parts.items():
+        cls = type(part)
+        why = "a dataclass: no file can hold another class"
+        require(field, cls.__name__, is_writable(cls), why)
+    return yaml.dump(
+        checked, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=80
+    )
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes dataclasses as their fields, without those that are None if left out."""
+
+    def represent_data(self, data: Any) -> yaml.Node:
+        """See base class."""
+        if not dataclasses.is_dataclass(data):
+            return super().represent_data(data)
+        given = {}
+        for field in dataclasses.fields(data):
+            value = getattr(data, field.name)
+            if field.init and not (value is None and field.default is None):
+                given[field.name] = value
+        bases = (MODELS.base, OBSTACLES.base, DISTURBANCES.base)
+        tag = f"!{type(data).__name__}" if isinstance(data, bases) else _PLAIN
+        return self.represent_mapping(tag, given)
+
+    def represent_sequence(self, tag: Any, items: Any, flow_style: Any = None) -> Any:
+        """Lists of numbers on one line."""
+        flow = all(isinstance(item, (int, float, str)) for item in items)
+        return super().represent_sequence(tag, items, flow_style=flow)
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """Whatever stands twice is written twice."""
+        return True
+
+
+_PLAIN = "tag:yaml.org,2002:map"

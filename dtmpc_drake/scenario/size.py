@@ -25,14 +25,13 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from functools import reduce
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from dtmpc_drake.scenario.error import ScenarioError, require
-
-if TYPE_CHECKING:
-    from dtmpc_drake.scenario.schema import Scenario
+from dtmpc_drake.disturbances.base import DISTURBANCES, LOOK
+from dtmpc_drake.errors import ScenarioError, require
+from dtmpc_drake.scenario.schema import Scenario
 
 MEMORY = 4 * 2**30
 """Bytes that planning, a flight or a batch of flights may take."""
@@ -46,12 +45,9 @@ REPLANS = 100_000
 TRIAL_STEPS = 10**10
 """Steps of all flights together, which fly side by side: about half a day."""
 
-REPORT_PERIOD, SAMPLE_PERIOD, LOOK_PERIOD = 0.05, 0.005, 0.04
-"""Of what is kept of many flights at least, of a saved plan, and between two times at
-which a push may reverse, in s."""
+REPORT_PERIOD, SAMPLE_PERIOD = 0.05, 0.005
+"""Of what is kept of many flights at least, and of a saved plan, in s."""
 SIZES = "planner.intervals", "model.num_outputs", "model.order"
-KINDS = 5
-"""Disturbances that many flights may go through."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,10 +85,8 @@ def _rates(scenario: Scenario) -> dict[str, float]:
     """What the fastest filter's rate is the sum of, the largest first, in 1/s."""
     bandwidth = scenario.controller.bandwidth
     rates = {"controller.slope": scenario.model.order * max(scenario.controller.slope)}
-    if bandwidth.fixed is None:
-        rates["controller.bandwidth.max"] = bandwidth.max
-    else:
-        rates["controller.bandwidth.fixed"] = bandwidth.fixed
+    name = "max" if bandwidth.fixed is None else "fixed"
+    rates[f"controller.bandwidth.{name}"] = bandwidth.interval()[1]
     return dict(sorted(rates.items(), key=lambda item: -item[1]))
 
 
@@ -203,17 +197,17 @@ def require_affordable(scenario: Scenario) -> None:
     Raises:
         ScenarioError: naming the fields that make it so.
     """
-    duration = scenario.duration
-    for field, period, count in (
-        ("simulation.max_step_size", scenario.simulation.max_step_size, EVENTS),
-        ("disturbance.hold", getattr(scenario.disturbance, "hold", None), EVENTS),
-        ("sensing.period", scenario.sensing.period, EVENTS),
-        ("planner.replan_period", scenario.planner.replan_period, REPLANS),
-    ):
-        if period is not None:
-            least = duration / count
-            why = f"there may be {count:g} of them in {duration:g} s, the duration"
-            require(field, period, period >= least, f"at least {least:.3g} s: {why}")
+    duration, own = scenario.duration, scenario.disturbance.periods()
+    periods = {"simulation.max_step_size": scenario.simulation.max_step_size}
+    periods |= {f"disturbance.{name}": period for name, period in own.items()}
+    periods |= {"sensing.period": scenario.sensing.period}
+    if scenario.planner.replan_period is not None:
+        periods["planner.replan_period"] = scenario.planner.replan_period
+    for field, period in periods.items():
+        count = REPLANS if field == "planner.replan_period" else EVENTS
+        least = duration / count
+        why = f"there may be {count:g} of them in {duration:g} s, the duration"
+        require(field, period, period >= least, f"at least {least:.3g} s: {why}")
     steps = scenario.planner.intervals * tube_steps(scenario)[0]
     most_steps = TUBE_STEPS // (2 if scenario.model.error_bound_varies else 1)
     if steps > most_steps:
@@ -244,8 +238,13 @@ def _too_much(scenario: Scenario, fields: Sequence[str], why: str) -> ScenarioEr
     return ScenarioError(first, value, f"such that with {', '.join(others)} {why}")
 
 
-def require_trials(scenario: Scenario, count: int, batch_size: int) -> None:
+def require_trials(scenario: Scenario, count: int, batch_size: int = 250) -> None:
     """Refuses more flights than there is memory and time for.
+
+    Args:
+        scenario: the whole experiment.
+        count: of flights through one disturbance.
+        batch_size: flights side by side in one diagram.
 
     Raises:
         ScenarioError: naming ``trials`` or ``batch-size``.
@@ -253,11 +252,13 @@ def require_trials(scenario: Scenario, count: int, batch_size: int) -> None:
     m, length = scenario.model.num_outputs, scenario.duration
     batch = min(count, batch_size)
     # A batch draws all its noise before.
-    hold = getattr(scenario.disturbance, "hold", None) or length
-    draws = length / min(hold, LOOK_PERIOD) * (m + 1)
+    hold = min(scenario.disturbance.periods().values(), default=length)
+    draws = length / min(hold, LOOK) * (m + 1)
     report = _samples(scenario, REPORT_PERIOD) * (m + 1)
     one = 8 * (3 * report + draws)
-    kept = 8 * 3 * KINDS * report
+    # Flights may go through all kinds, one after the other.
+    kinds = sum(kind.short_name is not None for kind in DISTURBANCES)
+    kept = 8 * 3 * kinds * report
     steps = length / scenario.simulation.max_step_size
     long = f"in flights of {length:g} s (duration)"
     for field, value, most, why in (

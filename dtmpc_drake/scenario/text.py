@@ -7,16 +7,16 @@ the latter also where an alias repeats them.
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import stat
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import yaml
+from yaml.composer import ComposerError
 
-from dtmpc_drake.scenario.error import ScenarioError, join, require
+from dtmpc_drake.errors import ScenarioError, join, require
 
 MOST_BYTES = 256 * 1024
 """Of a file: five thousand obstacles."""
@@ -76,8 +76,7 @@ def read_yaml(text: str) -> Any:
     size = f"{len(text)} characters"
     require("the file", size, len(text) <= MOST_BYTES, f"at most {MOST_BYTES}")
     try:
-        loader = _Loader(text)
-        node = loader.get_single_node()
+        data = _Reader(text).read()
     except ScenarioError:
         raise
     except (yaml.YAMLError, ValueError, OverflowError) as error:
@@ -85,80 +84,148 @@ def read_yaml(text: str) -> Any:
         where = f"line {mark.line + 1}" if mark else "the file"
         what = getattr(error, "problem", None) or getattr(error, "reason", None)
         raise ScenarioError(where, what or str(error), "valid YAML") from None
-    data = loader.read(node)
     if isinstance(data, Section):
         for name in [name for name in data if name.startswith("_")]:
             del data[name]
     return data
 
 
-class _Loader(yaml.SafeLoader):
-    """Composes and reads nodes, but not more than a scenario can need."""
+@dataclasses.dataclass
+class _Anchored:
+    """What aliases repeat: the value, or the text of a scalar, and its size.
+
+    While it is being read it is deeper than anything may be: nothing holds itself.
+    """
+
+    value: Any = None
+    text: str | None = None
+    count: int = 0
+    depth: int = DEEPEST + 1
+
+
+class _Reader(yaml.SafeLoader):
+    """Reads a text in one pass, but not more than a scenario can need."""
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
-        self._count = self._depth = 0
+        self._count = self._depth = self._deepest = 0
+        self._anchored: dict[str, _Anchored] = {}
 
-    @contextmanager
-    def _counted(self, line: int) -> Iterator[None]:
-        """Counts a node, and how deep it is, while it is worked on."""
-        self._count += 1
+    def read(self) -> Any:
+        """What the only document says; None if there is none."""
+        value = None
+        self._next()  # the start of the stream
+        if not isinstance(self._peek(), yaml.StreamEndEvent):
+            self._next()
+            value = self._value("")
+            self._next()
+        if not isinstance(other := self._peek(), yaml.StreamEndEvent):
+            problem = "but found another document"
+            raise ComposerError(None, None, problem, other.start_mark)
+        return value
+
+    def _peek(self) -> Any:
+        return self.peek_event()  # type: ignore[no-untyped-call]
+
+    def _next(self) -> Any:
+        return self.get_event()  # type: ignore[no-untyped-call]
+
+    def _add(self, event: Any, count: int = 1, depth: int = 1) -> None:
+        """Counts what is read or repeated."""
+        self._count += count
+        self._deepest = max(self._deepest, self._depth + depth)
+        where, most = f"line {event.start_mark.line + 1}", f"at most {MOST_VALUES}"
+        many = f"{self._count} values"
+        require(where, many, self._count <= MOST_VALUES, f"{most}, repeated ones too")
+        deep = f"{self._depth + depth} values in each other"
+        ok = self._depth + depth <= DEEPEST
+        require(where, deep, ok, f"at most {DEEPEST}")
+
+    def _alias(self, event: Any) -> _Anchored:
+        """What an alias repeats."""
+        if event.anchor not in self._anchored:
+            problem = f"found undefined alias {event.anchor!r}"
+            raise ComposerError(None, None, problem, event.start_mark)
+        anchored = self._anchored[event.anchor]
+        self._add(event, anchored.count, anchored.depth)
+        return anchored
+
+    def _value(self, path: str) -> Any:
+        event = self._next()
+        if isinstance(event, yaml.AliasEvent):
+            return self._alias(event).value
+        anchored = self._anchor(event)
+        before, above, self._deepest = self._count, self._deepest, self._depth
+        self._add(event)
         self._depth += 1
-        where = f"line {line + 1}"
-        many, most = (
-            f"{self._count} values",
-            f"at most {MOST_VALUES}, repeated ones too",
-        )
-        require(where, many, self._count <= MOST_VALUES, most)
-        deep, most = f"{self._depth} values in each other", f"at most {DEEPEST}"
-        require(where, deep, self._depth <= DEEPEST, most)
-        yield
+        if isinstance(event, yaml.MappingStartEvent):
+            anchored.value = self._section(event, path)
+        elif isinstance(event, yaml.SequenceStartEvent):
+            anchored.value = self._list(event, path)
+        else:
+            anchored.value, anchored.text = self._scalar(event, path), event.value
         self._depth -= 1
+        anchored.count = self._count - before
+        anchored.depth = self._deepest - self._depth
+        self._deepest = max(above, self._deepest)
+        return anchored.value
 
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        """See base class."""
-        event = self.peek_event()  # type: ignore[no-untyped-call]
-        with self._counted(event.start_mark.line):
-            node: yaml.Node | None = super().compose_node(parent, index)
-        return node
+    def _anchor(self, event: Any) -> _Anchored:
+        """Where to keep what may be repeated."""
+        if event.anchor is None:
+            return _Anchored()
+        if event.anchor in self._anchored:
+            problem = f"found duplicate anchor {event.anchor!r}"
+            raise ComposerError(None, None, problem, event.start_mark)
+        anchored = self._anchored[event.anchor] = _Anchored()
+        return anchored
 
-    def read(self, node: yaml.Node | None) -> Any:
-        """What a composed file says; its aliases are counted once more."""
-        self._count = self._depth = 0
-        return None if node is None else self._value(node, "")
+    def _list(self, event: Any, path: str) -> list[Any]:
+        plain = event.tag in (None, "!", f"{_YAML}seq")
+        require(path or "scenario", event.tag, plain, "a list without a tag")
+        items: list[Any] = []
+        while not isinstance(self._peek(), yaml.SequenceEndEvent):
+            items.append(self._value(f"{path}[{len(items)}]"))
+        self._next()
+        return items
 
-    def _value(self, node: yaml.Node, path: str) -> Any:
-        with self._counted(node.start_mark.line):
-            if isinstance(node, yaml.MappingNode):
-                return self._section(node, path)
-            if isinstance(node, yaml.SequenceNode):
-                plain = node.tag == f"{_YAML}seq"
-                require(path or "scenario", node.tag, plain, "a list without a tag")
-                return [
-                    self._value(v, f"{path}[{i}]") for i, v in enumerate(node.value)
-                ]
-            return self._scalar(node, path)
-
-    def _section(self, node: yaml.MappingNode, path: str) -> Section:
+    def _section(self, event: Any, path: str) -> Section:
         section = Section()
-        if node.tag != f"{_YAML}map":
-            section.tag = node.tag
-        for key, value in node.value:
-            where = f"line {key.start_mark.line + 1}"
-            plain = isinstance(key, yaml.ScalarNode)
-            require(where, "a list or mapping", plain, "a name, before a colon")
-            name = join(path, key.value)
+        if event.tag not in (None, "!", f"{_YAML}map"):
+            section.tag = event.tag
+        while not isinstance(self._peek(), yaml.MappingEndEvent):
+            key, where = self._key()
+            name = join(path, key)
             # YAML keeps the last of two fields of one name, and says nothing.
-            once = key.value not in section
-            require(name, f"a second one on {where}", once, "given once")
-            section[key.value] = self._value(value, name)
+            require(name, f"a second one on {where}", key not in section, "given once")
+            section[key] = self._value(name)
+        self._next()
         return section
 
-    def _scalar(self, node: Any, path: str) -> Any:
-        text, path = node.value, path or "scenario"
+    def _key(self) -> tuple[str, str]:
+        """A field's name, and its line."""
+        event = self._next()
+        where = f"line {event.start_mark.line + 1}"
+        if isinstance(event, yaml.AliasEvent):
+            key = self._alias(event).text
+        elif isinstance(event, yaml.ScalarEvent):
+            self._add(event)
+            anchored = self._anchor(event)
+            key = anchored.text = event.value
+            anchored.value, anchored.count, anchored.depth = Text(key), 1, 1
+        else:
+            key = None
+        if key is None:
+            raise ScenarioError(where, "a list or mapping", "a name, before a colon")
+        return key, where
+
+    def _scalar(self, event: Any, path: str) -> Any:
+        text, tag, path = event.value, event.tag, path or "scenario"
         short = f"at most {LONGEST} characters"
         require(path, text, len(text) <= LONGEST, short)
-        kind = node.tag.removeprefix(_YAML)
+        if tag in (None, "!"):
+            tag = self.resolve(yaml.ScalarNode, text, event.implicit)  # type: ignore[no-untyped-call]
+        kind = tag.removeprefix(_YAML)
         # A date is a text, too, and so are the signs that YAML itself gives a meaning.
         if kind in ("str", "timestamp", "value", "merge"):
             return Text(text)
@@ -168,8 +235,8 @@ class _Loader(yaml.SafeLoader):
             "int": self.construct_yaml_int,
             "float": self.construct_yaml_float,
         }
-        require(path, node.tag, kind in readers, "a value without a tag")
+        require(path, tag, kind in readers, "a value without a tag")
         try:
-            return readers[kind](node)
+            return readers[kind](yaml.ScalarNode(tag, text))
         except (ValueError, LookupError):
             raise ScenarioError(path, text, f"what its tag says: {kind}") from None

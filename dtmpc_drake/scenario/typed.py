@@ -1,16 +1,16 @@
 """Values as the dataclasses of a scenario want them, wherever they come from.
 
 Drake's reader builds typed dataclasses, too, but its errors do not say where they
-are, and what is built in Python does not pass it.
+are, what is built in Python does not pass it, and it knows no registered classes.
 """
 
 from __future__ import annotations
 
-import copy
 import dataclasses
+import math
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from functools import lru_cache
 from numbers import Integral, Real
@@ -18,8 +18,8 @@ from typing import Any, Union
 
 import numpy as np
 
-from dtmpc_drake.obstacles.base import KINDS, Obstacle
-from dtmpc_drake.scenario.error import ScenarioError, join, require
+from dtmpc_drake.errors import ScenarioError, join, require
+from dtmpc_drake.registry import Registry, registry_of
 from dtmpc_drake.scenario.text import Section, Text
 
 # Without these a scenario would say too little to be anybody's intention.
@@ -28,7 +28,7 @@ _REQUIRED = {
     "start": ("position",),
     "goal": ("position",),
 }
-_SCALARS = {
+_SCALARS: dict[Any, tuple[Any, str]] = {
     float: (Real, "a number"),
     int: (Integral, "a whole number"),
     str: (str, "text"),
@@ -40,28 +40,29 @@ def typed(schema: Any, value: Any, path: str) -> Any:
     """A copy of a value with every part of the type that its schema names.
 
     Args:
-        schema: a type, as in the annotation of a dataclass.
+        schema: a type, as in the annotation of a dataclass.  One that has a registry
+            stands for all of its classes.
         value: sections, lists and scalars of a file, or what was built in Python:
             dataclasses, and lists or arrays of any numbers.
         path: of the field, for errors.
 
     Raises:
-        ScenarioError: if any part is of another type, missing or unknown.
+        ScenarioError: if any part is of another type, missing or unknown, or a number
+            that is not finite.
     """
     origin, args = typing.get_origin(schema), typing.get_args(schema)
     if origin in (Union, types.UnionType):
         options = [a for a in args if a is not type(None)]
         if value is None and len(options) < len(args):
             return None
-        if len(options) > 1:
-            return _one_of(options, value, path)
-        return typed(options[0], value, path)
-    if origin is list:
+        if len(options) == 1:
+            return typed(options[0], value, path)
+    elif origin is list and args:
         items = value.tolist() if isinstance(value, np.ndarray) else value
         if not isinstance(items, (list, tuple)):
             raise ScenarioError(path, value, "a list")
         return [typed(args[0], v, f"{path}[{i}]") for i, v in enumerate(items)]
-    if origin is dict:
+    elif origin is dict and args:
         if not isinstance(value, Mapping):
             raise ScenarioError(path, value, "a mapping of names to values")
         _refuse_tag(value, path)
@@ -69,11 +70,23 @@ def typed(schema: Any, value: Any, path: str) -> Any:
             typed(str, k, path): typed(args[1], v, join(path, str(k)))
             for k, v in value.items()
         }
-    if schema is Obstacle:
-        return _one_of(KINDS, value, path)
-    if dataclasses.is_dataclass(schema):
+    elif (registry := registry_of(schema)) is not None:
+        return _registered(registry, value, path)
+    elif dataclasses.is_dataclass(schema):
         _refuse_tag(value, path)
         return _filled(schema, value, path)
+    elif schema in _SCALARS:
+        return _scalar(schema, value, path)
+    known = "float, int, str, bool, list[...], dict[str, ...], or a dataclass of these"
+    raise ScenarioError(path, schema, f"annotated as {known}, or one of them | None")
+
+
+def is_writable(cls: type) -> bool:
+    """Whether a file can hold objects of a class: whether it is a dataclass itself."""
+    return "__dataclass_fields__" in vars(cls)
+
+
+def _scalar(schema: Any, value: Any, path: str) -> Any:
     if schema is float and isinstance(value, Text):
         with suppress(ValueError):
             value = float(value)
@@ -81,22 +94,12 @@ def typed(schema: Any, value: Any, path: str) -> Any:
     if not isinstance(value, kind) or (isinstance(value, bool) and schema is not bool):
         raise ScenarioError(path, value, name)
     try:
-        return schema(value)
+        result = schema(value)
     except OverflowError:
         raise ScenarioError(path, value, "a finite number") from None
-
-
-def require_kind(field: str, value: Any, kinds: Sequence[type]) -> None:
-    """Refuses what is of none of some classes, a subclass included.
-
-    Nobody could tell what a class that is not known here means.
-
-    Raises:
-        ScenarioError: that names the class.
-    """
-    names = ", ".join(kind.__name__ for kind in kinds)
-    known = type(value) in kinds
-    require(field, type(value).__name__, known, f"one of {names}")
+    if schema is float:
+        require(path, value, math.isfinite(result), "a finite number")
+    return result
 
 
 def _refuse_tag(value: Any, path: str) -> None:
@@ -104,47 +107,69 @@ def _refuse_tag(value: Any, path: str) -> None:
         raise ScenarioError(path or "scenario", value.tag, "without a tag")
 
 
-def _one_of(options: list[Any], value: Any, path: str) -> Any:
-    names = ", ".join(f"!{o.__name__}" for o in options)
+def _registered(registry: Registry[Any], value: Any, path: str) -> Any:
+    """An object of a registered class."""
+    known = [cls for cls in registry if is_writable(cls)]
+    names = ", ".join(f"!{cls.__name__}" for cls in known)
     if isinstance(value, Section):
-        tag = value.tag or f"!{options[0].__name__}"
-        for option in options:
-            if tag == f"!{option.__name__}":
-                return _filled(option, value, path)
-        raise ScenarioError(path, tag, f"one of {names}")
+        tag = f"!{known[0].__name__}" if value.tag is None else value.tag
+        cls = registry.kind(tag.removeprefix("!"))
+        if not tag.startswith("!") or cls not in known:
+            raise ScenarioError(path, tag, f"one of {names}")
+        return _filled(cls, value, path)
     if isinstance(value, (str, Real, list)):
         raise ScenarioError(path, value, f"one of {names}, with its fields")
-    require_kind(path, value, options)
-    return _filled(type(value), value, path)
+    registry.require(path, value)
+    # Of others nobody knows the fields.
+    return _filled(type(value), value, path) if is_writable(type(value)) else value
 
 
 def _filled(schema: Any, value: Any, path: str) -> Any:
     """A dataclass, from a section of a file or from another one."""
     fields = _fields(schema)
     if isinstance(value, schema):
-        result = copy.copy(value)
-        for name, kind in fields.items():
-            setattr(result, name, typed(kind, getattr(value, name), join(path, name)))
-        return result
-    if not isinstance(value, Section):
+        given = {name: getattr(value, name) for name in fields}
+    elif isinstance(value, Section):
+        _check_names(schema, value, path)
+        given = value
+    else:
         raise ScenarioError(path or "scenario", value, "a mapping of fields")
-    for name, item in value.items():
+    values = {k: typed(fields[k], v, join(path, k)) for k, v in given.items()}
+    try:
+        return schema(**values)
+    except (TypeError, ValueError) as error:  # of a class of a user's own
+        raise ScenarioError(path, f"!{schema.__name__}", f"valid ({error})") from error
+
+
+def _check_names(schema: Any, section: Section, path: str) -> None:
+    """Refuses fields of a file that are unknown or missing."""
+    fields = _fields(schema)
+    for name, item in section.items():
         if name not in fields:
             allowed = ", ".join(fields) or "empty"
             raise ScenarioError(
                 join(path, name), item, f"left out; the fields here are {allowed}"
             )
-    required = _REQUIRED.get(path, ())
-    if path.startswith("obstacles["):
-        required = tuple(name for name in ("center", "radius") if name in fields)
-    for name in required:
-        if name not in value:
+    for name in (*_REQUIRED.get(path, ()), *_required(schema)):
+        if name not in section:
             raise ScenarioError(join(path, name), None, "given: it is missing")
-    return schema(**{k: typed(fields[k], v, join(path, k)) for k, v in value.items()})
 
 
 @lru_cache
 def _fields(schema: Any) -> dict[str, Any]:
     """The types of a dataclass' fields by their names."""
     hints = typing.get_type_hints(schema)
-    return {field.name: hints[field.name] for field in dataclasses.fields(schema)}
+    return {f.name: hints[f.name] for f in dataclasses.fields(schema) if f.init}
+
+
+@lru_cache
+def _required(schema: Any) -> tuple[str, ...]:
+    """Fields without a default, and those that the class says are required."""
+    own = [
+        field.name
+        for field in dataclasses.fields(schema)
+        if field.init
+        and field.default is dataclasses.MISSING
+        and field.default_factory is dataclasses.MISSING
+    ]
+    return (*own, *getattr(schema, "required", ()))

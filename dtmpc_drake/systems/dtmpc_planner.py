@@ -82,7 +82,7 @@ class DtmpcPlanner(LeafSystem):
     What this machine took is in the records (`Replan.solve_time`); where it is more
     than the delay, the vehicle would need a faster one.
 
-    With `ObstacleSensor` and a range of `Scenario.sensing_range_needed` there is a
+    With `ObstacleSensor` and a range of `scenario.sensing_range_needed` there is a
     way to rest before every obstacle when it becomes known; the planner finds it by
     optimisation, from a few starts, and says ``unsafe`` if it does not.
     """

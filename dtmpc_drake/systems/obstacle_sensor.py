@@ -44,7 +44,7 @@ class ObstacleSensor(LeafSystem):
     if the range is at least ``v (δ + T / 2) + 2 ‖Ω‖``, where T is the time to stop
     with the deceleration that the feedback's bound leaves of the input limit, Ω the
     tube, and the delay δ counts two looks, two computations and one interval of the
-    plan for each order; see `Scenario.sensing_range_needed`, against which
+    plan for each order; see `scenario.sensing_range_needed`, against which
     `sensing.range` is checked when a scenario is loaded.  For obstacles that have a
     `known_from` instead nobody can tell before the flight.
     """

@@ -94,7 +94,7 @@ def limit_slopes(problem: Problem, local: Local, secant: float) -> LimitSlopes:
 
     parts = _Parts(
         {
-            "drift_bound": model.drift_bound,
+            "drift_bound_over": model.drift_bound_over,
             "own": lambda x, _: model.model_error_bound(x),
             "largest": model.model_error_bound_over,
             "true": true,
@@ -108,7 +108,7 @@ def limit_slopes(problem: Problem, local: Local, secant: float) -> LimitSlopes:
     # Theorem 2, as in `tightening.feedback_bound`.
     largest, by_largest = parts["largest"]
     own, by_own = parts["own"]
-    limit, by_limit = parts["drift_bound"]
+    limit, by_limit = parts["drift_bound_over"]
     c = problem.law.coefficients
     excess = local.bandwidth * local.layer - own + largest / 2
     size = magnitude(excess)

@@ -1,0 +1,68 @@
+"""What the numbers of a scenario may be, for whoever answers for own fields.
+
+The ranges are wide, for a scenario may be written in millimetres or kilometres, and
+in milliseconds or hours.  They keep sums, squares and products of all that is in a
+scenario far from the ends of a floating-point number.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+from dtmpc_drake.errors import require
+
+RANGES = {
+    "s": (1e-6, 1e9),
+    "m": (1e-9, 1e9),
+    "m/s": (1e-9, 1e9),
+    "m/s²": (1e-12, 1e12),  # and m/s^n
+    "1/s": (1e-6, 1e6),
+    "rad/s": (1e-6, 1e6),
+    "rad/s²": (1e-9, 1e300),  # as good as no limit: α stays in its own range
+    "1/m": (1e-9, 1e9),
+    "": (1e-9, 1e9),
+}
+"""By unit, the smallest number that is not zero and the largest magnitude.  The
+smallest is only asked of what must not be zero."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Setting:
+    """What a model, an obstacle or a disturbance is part of.
+
+    Attributes:
+        num_outputs: m, of the model.
+        order: n, of the model.
+        duration: of the scenario, in s.
+    """
+
+    num_outputs: int
+    order: int
+    duration: float
+
+
+def require_positive(field: str, value: float, unit: str) -> None:
+    """Requires a number that is greater than zero and in the range of its unit."""
+    low, high = RANGES[unit]
+    allowed = f"greater than 0 {unit}".rstrip() + f", in [{low:g}, {high:g}]"
+    require(field, value, low <= value <= high, allowed)
+
+
+def require_magnitude(field: str, value: float, unit: str) -> None:
+    """Requires a number of either sign that is not too large for its unit."""
+    high = RANGES[unit][1]
+    allowed = f"in [{-high:g}, {high:g}] {unit}".rstrip()
+    require(field, value, abs(value) <= high, allowed)
+
+
+def require_not_negative(field: str, value: float, unit: str) -> None:
+    """Requires a number that is at least zero and not too large for its unit."""
+    require_magnitude(field, value, unit)
+    require(field, value, value >= 0, "at least 0")
+
+
+def require_length(field: str, values: Sequence[float], num_outputs: int) -> None:
+    """Requires one number for each output."""
+    allowed = f"{num_outputs} numbers, one for each output"
+    require(field, values, len(values) == num_outputs, allowed)

@@ -1,0 +1,8 @@
+"""A user's own package: things that the library does not have, one a file.
+
+Importing it registers them, and so does ``--plugin tests/extensions/__init__.py``.
+"""
+
+from . import disturbance, model
+
+__all__ = ["disturbance", "model"]
