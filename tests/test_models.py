@@ -16,7 +16,7 @@ from dtmpc_drake.models import (
     Model,
     SampledBoxBounds,
 )
-from dtmpc_drake.numerics.arrays import bends, euclidean_norm, jacobian, magnitude
+from dtmpc_drake.numerics.arrays import second_differences, euclidean_norm, jacobian, magnitude
 from tests.models_for_tests import every_model, name_of
 
 models = pytest.mark.parametrize("model", every_model(), ids=name_of)
@@ -273,7 +273,7 @@ def test_slope_and_bend_meet_a_function_at_both_ends_of_the_step(seed: int) -> N
 
     chosen = np.array([0, 2])
     slope = jacobian(function, point, step)
-    bend = bends(function, point, step, chosen)
+    bend = second_differences(function, point, step, chosen)
     for k, coordinate in enumerate(chosen):
         for sign in (-1.0, 1.0):
             offset = sign * step * np.eye(3)[coordinate]
@@ -286,7 +286,7 @@ def test_slope_and_bend_meet_a_function_at_both_ends_of_the_step(seed: int) -> N
 
 def test_without_coordinates_there_are_no_bends() -> None:
     none = np.zeros(0, dtype=int)
-    assert bends(np.abs, np.ones((4, 3)), 0.1, none).shape == (4, 3, 0)
+    assert second_differences(np.abs, np.ones((4, 3)), 0.1, none).shape == (4, 3, 0)
 
 
 @models

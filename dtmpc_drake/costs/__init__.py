@@ -1,1 +1,11 @@
-"""What a plan is charged for, one cost a file."""
+"""What a plan is charged for, one cost a file.
+
+A cost answers for itself: what is squared at an instant.  Nothing that searches for
+plans may enter here.
+"""
+
+from dtmpc_drake.costs.bandwidth import BandwidthCost
+from dtmpc_drake.costs.base import COSTS, Cost, register_cost
+from dtmpc_drake.costs.input import InputCost
+
+__all__ = ["COSTS", "BandwidthCost", "Cost", "InputCost", "register_cost"]

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import abc
+from typing import ClassVar
 
 import numpy as np
 
+from dtmpc_drake.checks import Setting
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.differences import differences
+from dtmpc_drake.registry import Registry
 
 STEP = 1e-6
 """Half-width of the differences along y*^(n)."""
@@ -16,6 +19,21 @@ STEP = 1e-6
 
 class Cost(abc.ABC):
     """A running cost: a sum of squares of what the reference is at one instant."""
+
+    required: ClassVar[tuple[str, ...]] = ()
+    """Fields that a file must give, though they have a default."""
+
+    def check(self, path: str, setting: Setting) -> None:
+        """Refuses fields that make no sense; of a cost in a scenario.
+
+        Args:
+            path: of this section, for errors.
+            setting: what it must fit.
+
+        Raises:
+            ScenarioError: that names the field.
+        """
+        return
 
     @abc.abstractmethod
     def residuals(self, law: SlidingLaw, state: Array, highest: Array) -> Array:
@@ -55,3 +73,7 @@ class Cost(abc.ABC):
         )
         by_highest = np.moveaxis((ahead - behind) / (2 * STEP), 0, -1)
         return found.slope[:, :, : state[0].size], np.asarray(by_highest)
+
+
+COSTS: Registry[Cost] = Registry(Cost, "register_cost")
+register_cost = COSTS.register

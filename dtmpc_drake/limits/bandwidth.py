@@ -92,8 +92,8 @@ class BandwidthLimit:
             name = "bandwidth_knots_rate"
             if not model.error_bound_varies:
                 name = "bandwidth_rate"
-                # α is b - (E - Δ)/Φ with E what b needs, so its rate is that of b but for
-                # ((E - Δ) dΦ/dt - Φ dE/dt)/Φ².
+                # α is b - (E - Δ)/Φ with E what b needs, so its rate is that of b, but
+                # for ((E - Δ) dΦ/dt - Φ dE/dt)/Φ².
                 off = np.abs(needed.derivatives[:, 0] - least_error) + needed.radius(0)
                 thinnest = np.maximum(thin, THINNEST)
                 off = off * layer.largest(1) / thinnest + needed.largest(1)

@@ -15,6 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from dtmpc_drake.checks import Setting
 from dtmpc_drake.method.enclosure import Enclosure
 from dtmpc_drake.method.margin import Margin, smallest
 from dtmpc_drake.method.sliding import SlidingLaw
@@ -22,6 +23,7 @@ from dtmpc_drake.method.tightening import Instant, deviation_bound
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.differences import differences
 from dtmpc_drake.records.plan import Plan
+from dtmpc_drake.registry import Registry
 
 STEP = 1e-6
 """Half-width of the differences along y*^(n) and along the gain."""
@@ -31,7 +33,9 @@ class Limit(abc.ABC):
     """Something that a plan must keep for all times, whatever pushes the vehicle."""
 
     name: ClassVar[str]
-    """Of its margin in a certificate."""
+    """Of its margin in a certificate; a word that no other limit has."""
+    required: ClassVar[tuple[str, ...]] = ()
+    """Fields that a file must give, though they have a default."""
 
     @abc.abstractmethod
     def margins(self, law: SlidingLaw, at: Instant) -> Array:
@@ -57,7 +61,7 @@ class Limit(abc.ABC):
         """Of the margins, for messages."""
 
     def where(self, column: int) -> str:
-        """What a column of the margins is about, such as ``axis 1``; perhaps nothing."""
+        """What a column of the margins is about, ``axis 1`` or nothing."""
         return ""
 
     @property
@@ -65,12 +69,28 @@ class Limit(abc.ABC):
         """What it is called in a sentence."""
         return f"{self.name.replace('_', ' ')} limit"
 
+    def check(self, path: str, setting: Setting) -> None:
+        """Refuses fields that make no sense; of a limit in a scenario.
+
+        Args:
+            path: of this section, for errors.
+            setting: what it must fit.
+
+        Raises:
+            ScenarioError: that names the field.
+        """
+        return
+
     def certify(self, plan: Plan, enclosure: Enclosure) -> dict[str, Margin]:
         """Its margins of a certificate, by name."""
         values = self.proven(enclosure)
         places = [self.where(column) for column in range(values.shape[1])]
         unit = self.unit(enclosure.law)
         return {self.name: smallest(enclosure.time, values, unit, places)}
+
+
+LIMITS: Registry[Limit] = Registry(Limit, "register_limit")
+register_limit = LIMITS.register
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -185,7 +205,7 @@ class LinearLimit(Limit):
     @property
     @abc.abstractmethod
     def size(self) -> float:
-        """What is limited is about so large: margins of this part are none to see to."""
+        """What is limited is about so large; margins are near or far in parts of it."""
 
     def margins(self, law: SlidingLaw, at: Instant) -> Array:
         """See base class."""

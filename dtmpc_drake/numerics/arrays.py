@@ -58,7 +58,7 @@ def jacobian(
     return np.asarray(np.moveaxis((ahead - behind) / (2 * step.T[:, :, None]), 0, -1))
 
 
-def bends(
+def second_differences(
     function: Callable[[Array], Array],
     point: Array,
     step: Array | float,

@@ -1,4 +1,4 @@
-"""Central differences of functions of a state and a box around it, along what they see."""
+"""Central differences of functions of a state and a box, along what they see."""
 
 from __future__ import annotations
 

@@ -93,9 +93,8 @@ class Baseline:
     def at(self, bandwidth: float) -> Baseline:
         """The same with another fixed bandwidth, in rad/s."""
         scenario = _with_bandwidth(self.scenario, bandwidth)
-        alpha = np.full_like(self.problem.bandwidth_max, bandwidth)
         problem = dataclasses.replace(
-            self.problem, bandwidth_min=alpha, bandwidth_max=alpha
+            self.problem, bandwidth=self.problem.bandwidth.at(bandwidth)
         )
         return Baseline(self.name, scenario, problem)
 
@@ -311,10 +310,7 @@ def without_tube(problem: Problem) -> Problem:
     The bandwidth then has nothing to do; it is fixed at its floor and costs
     nothing.
     """
-    floor, law = (
-        np.full_like(problem.bandwidth_min, problem.bandwidth_floor),
-        problem.law,
-    )
+    law = problem.law
     nothing = np.zeros_like(law.slope)
     return dataclasses.replace(
         problem,
@@ -324,8 +320,7 @@ def without_tube(problem: Problem) -> Problem:
             disturbance_bound=nothing,
             reaching_rate=VANISHING,
         ),
-        bandwidth_min=floor,
-        bandwidth_max=floor,
+        bandwidth=problem.bandwidth.at(problem.bandwidth_cost.floor),
         tube_start=TubeStart.of_error(
             np.zeros_like(problem.start), nothing + VANISHING, law.slope
         ),
@@ -342,7 +337,7 @@ def with_fixed_bandwidth(plan: Plan, problem: Problem) -> Plan:
     count = len(plan.tube_times) - 1
     half = np.linspace(plan.start_time, plan.end_time, 2 * count + 1)
     reference = plan.reference(half)[:, :-1]
-    bandwidth = np.broadcast_to(problem.bandwidth_max, (len(half), plan.num_outputs))
+    bandwidth = np.broadcast_to(problem.bandwidth.high, (len(half), plan.num_outputs))
     step = (plan.end_time - plan.start_time) / count
     tube = propagate(
         problem.law,
@@ -362,7 +357,7 @@ def with_fixed_bandwidth(plan: Plan, problem: Problem) -> Plan:
     return dataclasses.replace(
         plan,
         bandwidth_knots=np.broadcast_to(
-            problem.bandwidth_max, plan.bandwidth_knots.shape
+            problem.bandwidth.high, plan.bandwidth_knots.shape
         ).copy(),
         tube_times=half[::2],
         layer_coefficients=layer,
@@ -376,8 +371,7 @@ def bandwidth_cost(result: PlanningResult, problem: Problem) -> float:
     plan = result.attempt
     if plan is None:
         return float("nan")
-    excess = plan.bandwidth_knots - problem.bandwidth_floor
-    running = problem.bandwidth_weight * (excess**2).sum(axis=1)
+    running = problem.bandwidth_cost.running(plan.bandwidth_knots)
     return float(np.diff(plan.knots) @ (running[1:] + running[:-1]) / 2)
 
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from dtmpc_drake.method.layer import layer_pieces
 from dtmpc_drake.method.tube import TubeStart, propagate
-from dtmpc_drake.planning.transcription import HAIR
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import Scenario
 
@@ -35,7 +34,7 @@ def hold_plan(scenario: Scenario) -> Plan:
     # A hair inside the limit, where plans may go on from it.
     highest = np.full(m, bandwidth.interval()[1])
     if bandwidth.fixed is None:
-        highest *= 1 - HAIR
+        highest *= 1 - scenario.planner.options.bandwidth_reserve
     layer = np.maximum(
         scenario.initial_boundary_layer(), np.abs(law.sliding_variable(error))
     )

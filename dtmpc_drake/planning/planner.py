@@ -2,41 +2,22 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Callable
 
 import numpy as np
 
-from dtmpc_drake.numerics import splines
-from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.planning.backend import Solution, backend_of
 from dtmpc_drake.planning.deadline import Deadline
-from dtmpc_drake.planning.ipopt.solver import solve_nlp
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.planning.proof.certify import OF_THE_SAMPLES, certify
-from dtmpc_drake.planning.scp.algorithm import (
-    MAX_PENALTY,
-    Effort,
-    Result,
-    iterate_to_convergence,
-)
-from dtmpc_drake.planning.scp.curvature import Multipliers
-from dtmpc_drake.planning.scp.linearise import BACKOFF, PENALTY
 from dtmpc_drake.planning.search.best_side import plan_best_side
-from dtmpc_drake.planning.transcription import Guess, Iterate, Transcription
+from dtmpc_drake.planning.starts import Guess
+from dtmpc_drake.planning.transcription import Transcription
 from dtmpc_drake.records.certificate import Certificate
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.records.result import Iteration, PlanningResult, Status
 from dtmpc_drake.scenario import Planner, Scenario
-
-TOLERANCE = 0.025
-"""Iterations stop when the next one promises less than this part of the cost."""
-COARSEST = 12
-"""Grids are halved for a first solution, down to no less than this."""
-NEAREST = 0.3
-"""Reach near a solution; from a cold start it is larger, see `Transcription`."""
-COARSE_ITERATIONS = 2
-"""On each of the coarser grids: they only have to find the way."""
 
 
 def plan(
@@ -110,25 +91,20 @@ def plan_problem(
         if report is not None:
             report(iteration)
 
-    if settings.backend == "ipopt":
-        transcription = Transcription(problem, settings.intervals)
-        decisions = _first_decisions(transcription, warm_start)
-        result = solve_nlp(transcription, decisions, report=note, deadline=deadline)
-    else:
-        transcription, result = _sequential_convex(
-            problem, settings, warm_start=warm_start, report=note, deadline=deadline
-        )
+    solution = backend_of(settings.backend).solve(
+        problem, settings, warm_start=warm_start, report=note, deadline=deadline
+    )
     before = time.perf_counter()
-    attempt = transcription.plan(result.iterate)
+    tr = solution.transcription
+    attempt = tr.plan(solution.iterate)
     certificate = certify(attempt, problem)
     if certificate.broken and OF_THE_SAMPLES.issuperset(certificate.broken):
         # The decisions are good, but the tube that goes with them is too coarse.
-        finer = Transcription(problem, transcription.intervals, refinement=2)
-        decisions = result.iterate.coefficients, result.iterate.bandwidth
-        attempt = finer.plan(finer.evaluate(*decisions))
+        finer = Transcription(problem, tr.intervals, settings.options, refinement=2)
+        attempt = finer.plan(finer.evaluate(*solution.iterate.decisions))
         certificate = certify(attempt, problem)
     after = time.perf_counter()
-    status, message = _verdict(transcription, result, certificate, deadline)
+    status, message = _verdict(solution, certificate, deadline)
     times = {
         "update": sum(i.update_time for i in history),
         "solve": sum(i.solve_time for i in history),
@@ -142,7 +118,7 @@ def plan_problem(
         plan=attempt if status in ("certified", "not_certified") else None,
         attempt=attempt,
         certificate=certificate,
-        cost=result.iterate.cost,
+        cost=solution.iterate.cost,
         history=tuple(history),
         times=times,
         backend=settings.backend,
@@ -161,107 +137,17 @@ def _check_warm_start(warm_start: Guess | None, problem: Problem) -> None:
         )
 
 
-def _first_decisions(
-    transcription: Transcription, warm_start: Guess | None
-) -> tuple[Array, Array]:
-    if warm_start is None:
-        return transcription.straight_line()
-    return transcription.from_plan(warm_start)
-
-
-def _sequential_convex(
-    problem: Problem,
-    settings: Planner,
-    *,
-    warm_start: Guess | None,
-    report: Callable[[Iteration], None],
-    deadline: Deadline,
-) -> tuple[Transcription, Result]:
-    """Coarse grids first: a step there costs half, and refining is exact.
-
-    If that ends infeasible, the bandwidth is held at its maximum until the
-    reference is feasible, and released from there; not from a warm start, whose
-    way that would forget.
-    """
-    free = warm_start is None and problem.start_bandwidth is None
-    free = free and not problem.bandwidth_is_fixed
-    grids = [settings.intervals]
-    while warm_start is None and grids[0] % 2 == 0 and grids[0] >= 2 * COARSEST:
-        grids.insert(0, grids[0] // 2)
-    decisions: tuple[Array, Array] | None = None
-    multipliers: Multipliers | None = None
-    for level, intervals in enumerate(grids):
-        reach = NEAREST if warm_start is not None else max(NEAREST, 0.5**level)
-        transcription = Transcription(problem, intervals, reach=reach)
-        if decisions is None:
-            decisions = _first_decisions(transcription, warm_start)
-        last = intervals == grids[-1]
-        result = iterate_to_convergence(
-            transcription,
-            decisions,
-            effort=Effort(
-                tolerance=TOLERANCE,
-                max_iterations=settings.max_iterations if last else COARSE_ITERATIONS,
-                coarse=not last,
-                thorough=warm_start is None,
-                # Rather than insist, look for another way.
-                max_penalty=10 * PENALTY if free else MAX_PENALTY,
-            ),
-            report=report,
-            multipliers=multipliers,
-            deadline=deadline,
-        )
-        if not last:
-            multipliers = result.multipliers
-            decisions = (
-                splines.refine(result.iterate.coefficients, transcription.degree),
-                _doubled(result.iterate.bandwidth),
-            )
-    if result.violation > BACKOFF and free and not result.out_of_time:
-        high = transcription.bandwidth_high
-        held = dataclasses.replace(problem, bandwidth_min=high, bandwidth_max=high)
-        _, first = _sequential_convex(
-            held, settings, warm_start=None, report=report, deadline=deadline
-        )
-        feasible = first.violation <= BACKOFF
-        start = first.iterate if feasible else result.iterate
-        result = iterate_to_convergence(
-            transcription,
-            (start.coefficients, start.bandwidth),
-            effort=Effort(
-                tolerance=TOLERANCE,
-                max_iterations=settings.max_iterations,
-                max_penalty=10 * PENALTY if feasible else MAX_PENALTY,
-            ),
-            report=report,
-            deadline=deadline,
-        )
-        if feasible and result.violation > BACKOFF:
-            result = first
-    return transcription, result
-
-
-def _doubled(values: Array) -> Array:
-    """Linear interpolation to twice as many intervals."""
-    result = np.repeat(values, 2, axis=0)[:-1]
-    result[1::2] = (values[:-1] + values[1:]) / 2
-    return result
-
-
 def _verdict(
-    transcription: Transcription,
-    result: Result,
-    certificate: Certificate,
-    deadline: Deadline,
+    solution: Solution, certificate: Certificate, deadline: Deadline
 ) -> tuple[Status, str]:
-    late = f"stopped after {deadline}" if result.out_of_time else ""
-    stopped = f"the solver stopped with {result.failure}" if result.failure else ""
+    late = f"stopped after {deadline}" if solution.out_of_time else ""
+    stopped = f"the solver stopped with {solution.failure}" if solution.failure else ""
     if certificate.certified:
         return "certified", "; ".join(filter(None, [certificate.reason, late, stopped]))
     limits = ""
-    if np.isfinite(result.violation):
-        if result.violation > BACKOFF and not certificate.kept:
-            limits = _limits(transcription, result.iterate)
+    if np.isfinite(solution.violation):
+        if not solution.feasible and not certificate.kept:
+            limits = _complaints(solution)
     elif not certificate.kept:
         limits = certificate.reason
     if late:
@@ -269,39 +155,15 @@ def _verdict(
         return "failed", f"{late}, which may be raised; until then: {why}"
     if stopped:
         return "failed", "; until then: ".join(filter(None, [stopped, limits]))
-    if not np.isfinite(result.violation):
+    if not np.isfinite(solution.violation):
         return "failed", limits or "the last iterate is not finite"
     if limits:
         return "infeasible", f"{limits}; no better plan from this start"
     return "not_certified", certificate.reason
 
 
-def _limits(transcription: Transcription, iterate: Iterate) -> str:
-    """Which constraints cannot be met together, where and when."""
-    tr, knots = transcription, transcription.knots
-    found = []
-    planes = iterate.planes
-    if planes.margin.size and planes.margin.min() < 0:
-        row, point = np.unravel_index(planes.margin.argmin(), planes.margin.shape)
-        when = knots[planes.piece[row]] + tr.step * point / tr.control_degree
-        obstacle = tr.problem.obstacles.index[planes.obstacle[row]]
-        text = f"obstacle {obstacle} by {-planes.margin.min():.3f} m"
-        found.append((-planes.margin.min(), f"{text} at t = {when:.2f} s"))
-    worst = -iterate.speed_margin.min()
-    if worst > 0:
-        piece, _, axis, _ = np.unravel_index(
-            iterate.speed_margin.argmin(), iterate.speed_margin.shape
-        )
-        text = f"speed limit on axis {axis} by {worst:.3f} m/s"
-        found.append((worst, f"{text} at t = {knots[piece]:.2f} s"))
-    worst = -iterate.input_margin.min()
-    if worst > 0:
-        when = knots[0] + tr.step * iterate.input_margin.argmin() / tr.tube_steps
-        text = f"input limit by {worst:.3f} m/s^{tr.order}"
-        found.append((worst, f"{text} at t = {when:.2f} s"))
-    worst = -iterate.error_margin.min(initial=np.inf)
-    if worst > 0:
-        text = f"the constant uncertainty bound by {worst:.3f} m/s^{tr.order}"
-        found.append((worst, text))
+def _complaints(solution: Solution) -> str:
+    """Which limits cannot be kept together, where and when."""
+    found = solution.transcription.complaints(solution.iterate)
     found.sort(reverse=True)
     return "cannot keep " + ", ".join(text for _, text in found)

@@ -1,14 +1,26 @@
-"""The optimisation problem that a scenario poses, as arrays."""
+"""The optimisation problem that a scenario poses."""
 
 from __future__ import annotations
 
 import dataclasses
+from functools import cached_property
 
 import numpy as np
 
+from dtmpc_drake.costs import BandwidthCost, Cost, InputCost
+from dtmpc_drake.limits import (
+    BandwidthLimit,
+    CoverLimit,
+    InputLimit,
+    Limit,
+    LinearLimit,
+    ObstacleLimit,
+    SampledLimit,
+    SpeedLimit,
+)
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.tube import TubeStart, VelocityBound
-from dtmpc_drake.models import Model
+from dtmpc_drake.models import ConstantUncertainty, Model
 from dtmpc_drake.numerics.arrays import Array, BoolArray
 from dtmpc_drake.obstacles import ObstacleSet
 from dtmpc_drake.scenario import Scenario
@@ -21,16 +33,16 @@ class Problem:
     Attributes:
         law: the controller and its model.
         obstacles: to stay clear of.
-        bandwidth_min, bandwidth_max: bounds of α, ``(m,)``; equal if fixed.
-        bandwidth_rate_max: bound of abs(dα/dt).
-        input_limit: u_m.
-        speed_limit: on every axis.
-        input_weight, bandwidth_weight: Q and R.
-        bandwidth_floor: α̲ in the cost's α̃ = α - α̲.
+        tube_margin: ``norm`` or ``support``, see `ObstacleSet.clearance`.
+        input: the limit of the input's norm.
+        speed: the limit of the speed along every axis.
+        own_limits: any others.
+        bandwidth: the range of the bandwidth, and the limit of its rate.
+        costs: of the reference.
+        bandwidth_cost: of the bandwidth.
         start_time, duration: in s.
         start, goal: x* at both ends, ``(n, m)``; a row of NaN in the goal is free.
         tube_start: what the tube opens from.
-        tube_margin: ``norm`` or ``support``.
         velocity_bound: ``comparison`` or ``paper``.
         start_highest: y*^(n)(t0), if it must be continuous.
         start_bandwidth: α(t0), if it must be continuous.
@@ -38,21 +50,19 @@ class Problem:
 
     law: SlidingLaw
     obstacles: ObstacleSet
-    bandwidth_min: Array
-    bandwidth_max: Array
-    bandwidth_rate_max: float
-    bandwidth_floor: float
-    input_limit: float
-    speed_limit: float
-    input_weight: float
-    bandwidth_weight: float
+    tube_margin: str
+    input: InputLimit
+    speed: SpeedLimit
+    bandwidth: BandwidthLimit
+    costs: tuple[Cost, ...]
+    bandwidth_cost: BandwidthCost
     start_time: float
     duration: float
     start: Array
     goal: Array
     tube_start: TubeStart
-    tube_margin: str
     velocity_bound: VelocityBound
+    own_limits: tuple[Limit, ...] = ()
     start_highest: Array | None = None
     start_bandwidth: Array | None = None
 
@@ -69,24 +79,21 @@ class Problem:
         """
         if known is None:
             known = scenario.known_at_start()
-        law = scenario.sliding_law()
-        bandwidth = scenario.controller.bandwidth
-        low, high = bandwidth.interval()
-        m = law.num_outputs
+        law, bandwidth = scenario.sliding_law(), scenario.controller.bandwidth
+        low, high = np.tile(bandwidth.interval(), (law.num_outputs, 1)).T
         velocity_bound: VelocityBound = (
             "paper" if scenario.planner.velocity_bound == "paper" else "comparison"
         )
         return cls(
             law=law,
             obstacles=scenario.obstacle_set().subset(known),
-            bandwidth_min=np.full(m, low),
-            bandwidth_max=np.full(m, high),
-            bandwidth_rate_max=bandwidth.rate_max,
-            bandwidth_floor=bandwidth.min,
-            input_limit=scenario.limits.input,
-            speed_limit=scenario.limits.speed,
-            input_weight=scenario.cost.input,
-            bandwidth_weight=scenario.cost.bandwidth,
+            tube_margin=scenario.planner.tube_margin,
+            input=InputLimit(scenario.limits.input),
+            speed=SpeedLimit(scenario.limits.speed),
+            own_limits=tuple(scenario.limits.own),
+            bandwidth=BandwidthLimit(low, high, bandwidth.rate_max),
+            costs=(InputCost(scenario.cost.input), *scenario.cost.own),
+            bandwidth_cost=BandwidthCost(scenario.cost.bandwidth, bandwidth.min),
             start_time=0.0,
             duration=scenario.duration,
             start=scenario.start_state(),
@@ -96,7 +103,6 @@ class Problem:
                 scenario.initial_boundary_layer(),
                 law.slope,
             ),
-            tube_margin=scenario.planner.tube_margin,
             velocity_bound=velocity_bound,
         )
 
@@ -105,7 +111,22 @@ class Problem:
         """F̂, B, Δ and their bounds, as the controller knows them."""
         return self.law.model
 
-    @property
-    def bandwidth_is_fixed(self) -> bool:
-        """Whether α is given rather than decided."""
-        return bool((self.bandwidth_min == self.bandwidth_max).all())
+    @cached_property
+    def limits(self) -> tuple[Limit, ...]:
+        """All that a plan must keep, but the bandwidth's."""
+        limits: list[Limit] = [self.speed, self.input, *self.own_limits]
+        if len(self.obstacles):
+            limits.insert(0, ObstacleLimit(self.obstacles, self.tube_margin))
+        if isinstance(self.model, ConstantUncertainty) and self.model.covers:
+            limits.append(CoverLimit(self.model))
+        return tuple(limits)
+
+    @cached_property
+    def sampled(self) -> tuple[SampledLimit, ...]:
+        """The limits on functions of one instant."""
+        return tuple(limit for limit in self.limits if isinstance(limit, SampledLimit))
+
+    @cached_property
+    def linear(self) -> tuple[LinearLimit, ...]:
+        """The limits that are linear in a derivative of the reference."""
+        return tuple(limit for limit in self.limits if isinstance(limit, LinearLimit))

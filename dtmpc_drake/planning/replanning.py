@@ -251,7 +251,7 @@ def _decide(
     stop = dataclasses.replace(problem, goal=rest)
     best: PlanningResult | None = None
     for seconds in _stopping_times(problem, plan):
-        guess = Slowed(plan, start, seconds, problem.bandwidth_max)
+        guess = Slowed(plan, start, seconds, problem.bandwidth.high)
         longest = max(left, STOPS * seconds, shortest_duration(scenario))
         if tries.certified(stop, longest, guess):
             return tries.decision("braking", f"no way to the goal: {why}")
@@ -333,5 +333,6 @@ def _stopping_times(problem: Problem, plan: Plan) -> list[float]:
     n = problem.model.order
     reference = plan.reference(problem.start_time)
     speed = max(float(np.linalg.norm(reference[1])), 0.1)
-    room = max(problem.input_limit - float(feedback), 0.1 * problem.input_limit)
+    limit = problem.input.bound
+    room = max(limit - float(feedback), 0.1 * limit)
     return [stopping_time(speed, part * room, max(n, 2)) for part in BRAKING]

@@ -1,10 +1,9 @@
-"""From the infinite problem to finitely many numbers, for both backends.
+"""From the infinite problem to finitely many numbers, for every backend.
 
 The *decisions* of a plan are the spline coefficients of y* and the bandwidth α
 at the knots (first-order hold).  `Transcription.evaluate` turns them into an
-`Iterate`: the exact tube that follows, the cost and every constraint, all
-vectorised over knots.  `Transcription.local` says how the variables of the
-programs enter at one knot; both backends build their rows from it.
+`Iterate`: the exact tube that follows, the cost and the margins of all limits, all
+vectorised over knots.
 
 Every iterate is propagated with the exact tube, so a program's tube only has to
 be right to first order around it; no discretisation error is left in a plan.
@@ -12,146 +11,30 @@ be right to first order around it; no discretisation error is left in a plan.
 
 from __future__ import annotations
 
-import dataclasses
-from functools import cached_property, lru_cache
+from functools import cached_property
 from math import ceil, log2
-from typing import Any, Protocol
 
 import numpy as np
-import scipy.sparse as sp
-import scipy.sparse.linalg
 
+from dtmpc_drake.limits import LinearLimit
 from dtmpc_drake.method.layer import layer_pieces
-from dtmpc_drake.method.tightening import Instant, input_bound, rate_bound
+from dtmpc_drake.method.tightening import Instant, deviation_bound
 from dtmpc_drake.method.tube import Tube, cascade_bound, filter_rates, propagate
-from dtmpc_drake.models import ConstantUncertainty
 from dtmpc_drake.numerics import splines
-from dtmpc_drake.numerics.arrays import Array, FloatArray
+from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.obstacles.separation import Halfplanes, separate
+from dtmpc_drake.planning.bandwidth_knots import BandwidthKnots
+from dtmpc_drake.planning.ends import Ends
+from dtmpc_drake.planning.iterate import Iterate, Local
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.records.plan import Plan
+from dtmpc_drake.scenario import SolverOptions
 
-HAIR = 2e-3
-"""By how much the bandwidth stays inside its limits, relative."""
-INPUT_HAIR = 2e-3
-"""By how much the input does: the tube's pieces round off the model's kinks."""
-SPEED_HAIR = 1e-3
-"""By how much the speed does: W is proven with some slack, see `enclosure`."""
-REACH, REACH_OF_A_STEP = 0.8, 0.32
-"""Pieces and obstacles that are further apart have no half-plane: in m, or in parts of
-what the speed limit allows between two knots if that is more."""
-SPEED_REACH = 0.28
-"""Control points of the speed with more margin than this part of its limit are left
-out of the programs."""
-BLEND = 0.125
-"""Part of the way, at each end, in which a start is bent to meet the ends."""
 TUBE_STEPS = 8, 16
 """Steps of the tube in each interval, at least; the half grid has twice as many.  The
 second where Δ varies and eight are longer than an eighth of a time constant."""
 STIFF = 4
 """From so many steps in place of one the tube's derivatives are found implicitly."""
-
-
-class Guess(Protocol):
-    """What iterations may start from: an earlier plan, or what looks like one."""
-
-    def reference(self, time: FloatArray | float) -> FloatArray:
-        """See `Plan.reference`; only the position is looked at."""
-        ...
-
-    def bandwidth(self, time: FloatArray | float) -> FloatArray:
-        """See `Plan.bandwidth`."""
-        ...
-
-
-@dataclasses.dataclass(frozen=True)
-class Local:
-    """Everything that enters at one instant, batched over leading axes.
-
-    Attributes:
-        state: x*, ``(..., n, m)``.
-        highest: y*^(n), ``(..., m)``.
-        layer: Φ, ``(..., m)``.
-        bandwidth: α, ``(..., m)``.
-        error_bound: R, ``(..., n, m)``.
-    """
-
-    state: Array
-    highest: Array
-    layer: Array
-    bandwidth: Array
-    error_bound: Array
-
-    @property
-    def instant(self) -> Instant:
-        """What the pointwise mathematics asks for."""
-        return Instant(
-            state=self.state,
-            highest=self.highest,
-            gain=self.bandwidth * self.layer,
-            error_bound=self.error_bound,
-        )
-
-    def pack(self) -> Array:
-        """One flat vector an instant, ``(..., (2 n + 3) m)``."""
-        lead = self.layer.shape[:-1]
-        return np.concatenate(
-            [
-                self.state.reshape(*lead, -1),
-                self.highest,
-                self.layer,
-                self.bandwidth,
-                self.error_bound.reshape(*lead, -1),
-            ],
-            axis=-1,
-        )
-
-    @classmethod
-    def unpack(cls, flat: Array, order: int, outputs: int) -> Local:
-        """The inverse of `pack`."""
-        nm, m = order * outputs, outputs
-        shape = (*flat.shape[:-1], order, outputs)
-        return cls(
-            state=flat[..., :nm].reshape(shape),
-            highest=flat[..., nm : nm + m],
-            layer=flat[..., nm + m : nm + 2 * m],
-            bandwidth=flat[..., nm + 2 * m : nm + 3 * m],
-            error_bound=flat[..., nm + 3 * m :].reshape(shape),
-        )
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Iterate:
-    """Decisions, the exact tube that follows, and what they cost.
-
-    Attributes:
-        coefficients: of y*, ``(N + n + 1, m)``.
-        bandwidth: α at the knots, ``(N + 1, m)``.
-        reference: y* and derivatives on the half grid, ``(2 M + 1, n + 1, m)``.
-        tube: at the nodes of the fine grid.
-        local: at the knots.
-        controls: Bézier points of y*, ``(N, degree + 1, m)``.
-        tube_controls: Bézier points that bound Ω from above, same shape.
-        planes: that part the pieces from the obstacles within reach.
-        speed_margin: ``(N, n + 1, m, 2)``, both signs.
-        input_margin: at the nodes of the fine grid, ``(M + 1,)``.
-        error_margin: of the constant that stands for Δ over the true one, there,
-            ``(M + 1, m)``; without such a constant there are no columns.
-        cost: of the plan.
-    """
-
-    coefficients: Array
-    bandwidth: Array
-    reference: Array
-    tube: Tube
-    local: Local
-    controls: Array
-    tube_controls: Array
-    planes: Halfplanes
-    speed_margin: Array
-    input_margin: Array
-    error_margin: Array
-    cost: float
 
 
 class Transcription:
@@ -160,6 +43,7 @@ class Transcription:
     Args:
         problem: to plan.
         intervals: N.
+        options: tolerances and reaches.
         reach: part of the usual reaches within which limits enter the programs, and
             obstacles enter at all.  A limit that turns out to be missed enters the
             next program.
@@ -170,42 +54,34 @@ class Transcription:
         self,
         problem: Problem,
         intervals: int,
+        options: SolverOptions,
         *,
         reach: float = 1.0,
         refinement: int = 1,
     ) -> None:
-        self.problem, self.reach = problem, reach
-        model = problem.model
-        self.order, self.outputs = model.order, model.num_outputs
+        self.problem, self.options, self.reach = problem, options, reach
+        law = problem.law
+        self.order, self.outputs = law.order, law.num_outputs
         self.intervals = intervals
         self.step = problem.duration / intervals
-        far = REACH_OF_A_STEP * problem.speed_limit * self.step
-        self.obstacle_reach = reach * max(REACH, far)
-        self.speed_reach = reach * SPEED_REACH * problem.speed_limit
+        far = options.obstacle_reach_of_a_step * problem.speed.bound * self.step
+        self.obstacle_reach = reach * max(options.obstacle_reach, far)
         self.degree = self.order + 1
         self.control_degree = max(self.degree, 3)
         self.knots: Array = problem.start_time + self.step * np.arange(intervals + 1)
         self.weights = np.full(intervals + 1, self.step)
         self.weights[[0, -1]] /= 2
-        # A hair inside the limits, where interpolation cannot break them.
-        low, high = problem.bandwidth_min, problem.bandwidth_max
-        middle = (low + high) / 2
-        self.bandwidth_low = np.minimum(low * (1 + HAIR), middle)
-        self.bandwidth_high = np.maximum(high * (1 - HAIR), middle)
-        # A limit beyond the whole range is none, and only spoils the scale.
-        self.bandwidth_change = (1 - HAIR) * min(
-            problem.bandwidth_rate_max * self.step, float(high.max())
-        )
+        self.bandwidth = BandwidthKnots(problem, self.step, options)
         # Steps of the tube of at most half the fastest filter's time constant.  Those
         # of its derivatives need only be as short as the bandwidth asks, but then each
         # costs as much as several explicit ones.
-        high = problem.bandwidth_max
+        high = problem.bandwidth.high
         slow = _power_of_two(self.step * high)
-        finest = _power_of_two(self.step * (high + self.order * problem.law.slope))
+        finest = _power_of_two(self.step * (high + self.order * law.slope))
         self.is_stiff = finest > STIFF * slow
         self.substeps = slow if self.is_stiff else finest
         least, most = TUBE_STEPS
-        if model.error_bound_varies:
+        if law.model.error_bound_varies:
             # Δ(x*) may have kinks, which parabolas on the steps round off.
             least = min(max(_power_of_two(8 * self.step * high), least), most)
         self.tube_steps = refinement * max(least, 2 * finest)
@@ -225,114 +101,28 @@ class Transcription:
         )
         elevate = splines.elevation(self.degree, self.control_degree)
         self.position_basis = elevate @ splines.control_basis(self.degree, 0, self.step)
-        self.speed_basis = splines.control_basis(self.degree, 1, self.step)
         self._hermite_elevation = splines.elevation(3, self.control_degree)
         self._fine = np.linspace(0, 1, self.tube_steps + 1)
 
-    # Decisions to iterate.
-
-    def straight_line(self) -> tuple[Array, Array]:
-        """The paper's start: a straight line, at the highest bandwidth."""
-        p = self.problem
-        count = self.intervals + self.degree
-        # Greville abscissae reproduce linear functions exactly.
-        greville = (np.arange(count) - (self.degree - 1) / 2) / self.intervals
-        way = np.nan_to_num(p.goal[0] - p.start[0])  # a free end stays where it is
-        line = p.start[0] + greville[:, None] * way
-        alpha = np.broadcast_to(self.bandwidth_high, (self.intervals + 1, self.outputs))
-        return self.with_ends(line), self.feasible_bandwidth(alpha)
-
-    def along(self, points: Array) -> tuple[Array, Array]:
-        """At constant speed along a path, at the highest bandwidth.
-
-        Args:
-            points: evenly spaced from start to goal, ``(any number, m)``.
-        """
-        share = np.linspace(0, 1, 2 * self.intervals + 1)
-        given = np.linspace(0, 1, len(points))
-        wanted = np.stack([np.interp(share, given, x) for x in points.T], axis=1)
-        alpha = np.broadcast_to(self.bandwidth_high, (self.intervals + 1, self.outputs))
-        return self._nearest(wanted), self.feasible_bandwidth(alpha)
-
-    def from_plan(self, plan: Guess) -> tuple[Array, Array]:
-        """The decisions nearest to an earlier plan, from now to its end."""
-        grid = self.knots[0] + self.step * np.arange(2 * self.intervals + 1) / 2
-        alpha = self.feasible_bandwidth(plan.bandwidth(self.knots))
-        return self._nearest(plan.reference(grid)[:, 0]), alpha
-
-    def _nearest(self, wanted: Array) -> Array:
-        """The spline nearest to values at all knots and midpoints, with its ends."""
-        operator, normal = _least_squares(self.intervals, self.degree)
-        return self.with_ends(normal.solve(operator.T @ wanted))
-
-    def with_ends(self, coefficients: Array) -> Array:
-        """The nearest spline that meets both end states.
-
-        Nearest in the highest derivative, with only the first and last part of
-        the way changed, so that a shifted end leaves the rest where it was.
-        """
-        conditions, wanted, free, correction = self._ends
-        result = coefficients.copy()
-        result[free] += correction @ (wanted - conditions @ coefficients)
-        return result
-
-    @property
-    def goal_rows(self) -> list[int]:
-        """The derivatives that the goal prescribes."""
-        return [k for k, row in enumerate(self.problem.goal) if np.isfinite(row).all()]
+    @cached_property
+    def ends(self) -> Ends:
+        """What both ends ask of the coefficients."""
+        return Ends(self.problem, self.intervals)
 
     @cached_property
-    def _ends(self) -> tuple[Array, Array, Array, Array]:
-        """What the ends ask of the coefficients, and how these may answer.
-
-        Returns:
-            Conditions ``(rows, N + degree)`` and their values ``(rows, m)``; the
-            indices of the coefficients that may change, and how they change with
-            what is missing, ``(free, rows)``.
-        """
-        p, count = self.problem, self.intervals + self.degree
-        goal = self.goal_rows
-        start = [*p.start] + ([] if p.start_highest is None else [p.start_highest])
-        conditions = np.concatenate(
-            [
-                _end_conditions(self.intervals, self.degree, 0, self.step)[
-                    : len(start)
-                ],
-                _end_conditions(self.intervals, self.degree, self.intervals, self.step)[
-                    goal
-                ],
-            ]
+    def linear_bases(self) -> tuple[Array, ...]:
+        """From coefficients to the control points of each of `Problem.linear`."""
+        return tuple(
+            splines.control_basis(self.degree, limit.derivative, self.step)
+            for limit in self.problem.linear
         )
-        wanted = np.concatenate([start, p.goal[goal]])
-        part = min(int(BLEND * self.intervals) + 2 * self.order, count // 2)
-        free = np.r_[:part, count - part : count]
-        # In units of the step, so that problems on as many intervals share them.
-        rows = tuple(range(len(start))), tuple(goal)
-        answers = _end_answers(self.intervals, self.degree, part, rows)
-        scale = self.step ** np.concatenate([*map(np.array, rows)])
-        return conditions, wanted, free, answers * scale
 
-    def feasible_bandwidth(self, bandwidth: Array) -> Array:
-        """The smallest α above the given one that obeys bounds and rate limit.
-
-        More bandwidth means a smaller tube, so nothing that was clear of an
-        obstacle is lost.
-        """
-        p = self.problem
-        alpha = np.clip(bandwidth, self.bandwidth_low, self.bandwidth_high)
-        index = np.arange(len(alpha))[:, None] * self.bandwidth_change
-        forward = np.maximum.accumulate(alpha + index) - index
-        backward = np.maximum.accumulate((alpha - index)[::-1])[::-1] + index
-        alpha = np.maximum(forward, backward)
-        if p.start_bandwidth is not None:
-            low, high = p.start_bandwidth - index, p.start_bandwidth + index
-            alpha = np.clip(alpha, low, high)
-        return np.asarray(alpha)
+    # Decisions to iterate.
 
     def evaluate(
         self, coefficients: Array, bandwidth: Array, *, hint: Halfplanes | None = None
     ) -> Iterate:
-        """Propagates the exact tube and evaluates cost and constraints.
+        """Propagates the exact tube and evaluates cost and margins.
 
         Args:
             coefficients: of y*.
@@ -360,20 +150,11 @@ class Transcription:
             gain=alpha[::2] * tube.boundary_layer,
             error_bound=tube.error_bound,
         )
-        used_rate = rate_bound(p.law, at_nodes)
         at_knots = slice(None, None, self.tube_steps)
         local = self._local(reference, tube, bandwidth, at_knots)
-        rate_chord = self._chord(used_rate[at_knots], n)
-        speed_controls = self.speed_basis @ windows
-        # Where the knots under-represent a piece, take off the difference.
-        limit = p.speed_limit * (1 - SPEED_HAIR) - self._bulge(used_rate)[:, None]
-        limit = limit - rate_chord
-        speed_margin = np.stack([limit - speed_controls, limit + speed_controls], -1)
-        # Neighbouring pieces share a control point, and so their margin there.
-        shared = np.minimum(speed_margin[1:, 0], speed_margin[:-1, -1])
-        speed_margin[1:, 0] = speed_margin[:-1, -1] = shared
         controls = self.position_basis @ windows
         tube_controls = self._tube_controls(tube)
+        reserve = self.options.sampled_reserve
         return Iterate(
             coefficients=coefficients,
             bandwidth=bandwidth,
@@ -390,12 +171,32 @@ class Transcription:
                 reach=self.obstacle_reach,
                 hint=hint,
             ),
-            speed_margin=speed_margin,
-            input_margin=p.input_limit * (1 - INPUT_HAIR)
-            - input_bound(p.law, at_nodes),
-            error_margin=self.error_margin(nodes[:, :n], tube.error_bound),
+            sampled=[
+                limit.margins(p.law, at_nodes) - reserve * limit.size
+                for limit in p.sampled
+            ],
+            linear=[
+                self._linear_margins(limit, basis @ windows, at_nodes)
+                for limit, basis in zip(p.linear, self.linear_bases, strict=True)
+            ],
             cost=self._cost(local, bandwidth),
         )
+
+    def _linear_margins(
+        self, limit: LinearLimit, controls: Array, at_nodes: Instant
+    ) -> Array:
+        """At control points of the limited derivative, ``(N, c, q)``."""
+        used = deviation_bound(self.problem.law, at_nodes, limit.derivative)
+        # Where the knots under-represent a piece, take off the difference.
+        wide = self._chord(used[:: self.tube_steps], controls.shape[1] - 1)
+        wide = wide + self._bulge(used)[:, None]
+        normals = limit.normals(self.outputs)
+        bounds = limit.bounds - self.options.linear_reserve * limit.size
+        margin = bounds - controls @ normals.T - wide @ np.abs(normals).T
+        # Neighbouring pieces share a control point, and so their margin there.
+        shared = np.minimum(margin[1:, 0], margin[:-1, -1])
+        margin[1:, 0] = margin[:-1, -1] = shared
+        return np.asarray(margin)
 
     def _on_half_grid(self, bandwidth: Array) -> Array:
         """Between the knots α is linear."""
@@ -445,11 +246,15 @@ class Transcription:
 
     def _cost(self, local: Local, bandwidth: Array) -> float:
         p = self.problem
-        u = self.feedforward(local)
-        excess = bandwidth - p.bandwidth_floor
-        running = p.input_weight * (u**2).sum(1)
-        running = running + p.bandwidth_weight * (excess**2).sum(1)
+        running = p.bandwidth_cost.running(bandwidth)
+        running = running + (self.residuals(local) ** 2).sum(1)
         return float(self.weights @ running)
+
+    def residuals(self, local: Local) -> Array:
+        """Of all costs of the reference, ``(..., r)``; generic in the scalar."""
+        p = self.problem
+        each = [c.residuals(p.law, local.state, local.highest) for c in p.costs]
+        return each[0] if len(each) == 1 else np.concatenate(each, axis=-1)
 
     def _chord(self, at_knots: Array, degree: int) -> Array:
         """Values on the straight lines between knots, ``(N, degree + 1, ...)``."""
@@ -462,12 +267,6 @@ class Transcription:
         """How far each piece rises above its chord, ``(N, ...)``."""
         chord = self._chord(nodes[:: self.tube_steps], self.tube_steps)
         return np.asarray((self.pieces(nodes) - chord).max(axis=1))
-
-    def near_the_speed_limit(self, iterate: Iterate) -> Array:
-        """Which control points of the speed enter the programs, as `speed_margin`."""
-        near = iterate.speed_margin < self.speed_reach
-        near[1:, 0] = False  # the last control point of the piece before
-        return np.asarray(near)
 
     def pieces(self, nodes: Array) -> Array:
         """Node values piece by piece, both ends included."""
@@ -487,32 +286,61 @@ class Transcription:
         points = points + np.maximum(excess.max(axis=1), 0.0)[:, None]
         return np.asarray(self._hermite_elevation @ points)
 
-    # What enters at one instant; generic in the scalar.
+    # What is left of the limits.
 
-    def feedforward(self, local: Local) -> Array:
-        """u* = B⁻¹ (y*^(n) - F̂(x*)), ``(..., m)``."""
-        model = self.problem.model
-        return model.input_for(local.state, local.highest - model.drift(local.state))
+    def violation(self, iterate: Iterate) -> float:
+        """The worst of all limits, in m and in the units of limits over their scales.
 
-    def used_input(self, local: Local) -> Array:
-        """The bound of the input's norm, ``(...)``."""
-        return input_bound(self.problem.law, local.instant)
-
-    def used_rate(self, local: Local) -> Array:
-        """The bound of the velocity error, ``(..., m)``."""
-        return rate_bound(self.problem.law, local.instant)
-
-    def error_margin(self, state: Array, error_bound: Array) -> Array:
-        """How far a constant that stands for Δ lies above the true one.
-
-        Returns:
-            ``(..., m)``; ``(..., 0)`` where Δ is not replaced by a constant.
+        Measured from the backed-off limits: at most `backoff` is feasible.
         """
-        model = self.problem.model
-        if not isinstance(model, ConstantUncertainty) or not model.covers:
-            return np.zeros((*state.shape[:-2], 0))
-        true = model.model.model_error_bound_over(state, error_bound)
-        return np.asarray(model.bound * (1 - INPUT_HAIR) - true)
+        p, backoff = self.problem, self.options.backoff
+        margins = [margin.min() for margin in iterate.linear]
+        for limit, margin in zip(p.sampled, iterate.sampled, strict=True):
+            margins.append(margin.min() / limit.scale)
+        margins.append(iterate.planes.margin.min(initial=np.inf))
+        # What is not a number violates everything.
+        return float(
+            np.nan_to_num(np.maximum(0.0, backoff - np.min(margins)), nan=np.inf)
+        )
+
+    def near_linear(self, iterate: Iterate) -> list[Array]:
+        """Which control points of `Iterate.linear` enter the programs."""
+        found = []
+        for limit, margin in zip(self.problem.linear, iterate.linear, strict=True):
+            near = margin < self.reach * self.options.linear_reach * limit.size
+            near[1:, 0] = False  # the last control point of the piece before
+            found.append(np.asarray(near))
+        return found
+
+    def complaints(self, iterate: Iterate) -> list[tuple[float, str]]:
+        """Which limits are broken, by how much, and all that in words."""
+        p, knots, law = self.problem, self.knots, self.problem.law
+        found: list[tuple[float, str]] = []
+
+        def note(margin: float, unit: str, title: str, time: float) -> None:
+            if margin < 0:
+                text = f"{title} by {-margin:.3f} {unit} at t = {time:.2f} s"
+                found.append((-margin, text))
+
+        planes = iterate.planes
+        if planes.margin.size:
+            row, point = np.unravel_index(planes.margin.argmin(), planes.margin.shape)
+            time = knots[planes.piece[row]] + self.step * point / self.control_degree
+            obstacle = p.obstacles.index[planes.obstacle[row]]
+            note(float(planes.margin.min()), "m", f"obstacle {obstacle}", float(time))
+        for linear, margin in zip(p.linear, iterate.linear, strict=True):
+            piece, _, column = np.unravel_index(margin.argmin(), margin.shape)
+            title = f"{linear.title} on {linear.where(int(column))}"
+            note(float(margin.min()), linear.unit(law), title, float(knots[piece]))
+        for sampled, margin in zip(p.sampled, iterate.sampled, strict=True):
+            node, column = np.unravel_index(margin.argmin(), margin.shape)
+            where = sampled.where(int(column))
+            title = f"{sampled.title} on {where}" if where else sampled.title
+            time = knots[0] + self.step * node / self.tube_steps
+            note(float(margin.min()), sampled.unit(law), title, float(time))
+        return found
+
+    # The tube's states in the programs.
 
     def tube_rates(self, reference: Array, bandwidth: Array, states: Array) -> Array:
         """The tube's differential equation; shapes as `tube.filter_rates`."""
@@ -585,51 +413,3 @@ def hermite_controls(value: Array, rate: Array, step: float) -> Array:
         ],
         axis=1,
     )
-
-
-def _end_conditions(intervals: int, degree: int, knot: int, step: float) -> Array:
-    """Every derivative up to the n-th at the first or last knot."""
-    rows = np.zeros((degree, intervals + degree))
-    for k in range(degree):
-        start = splines.basis(degree, k, np.zeros(1), step)[0]
-        rows[k, knot : knot + degree] = start[:degree]
-    return rows
-
-
-@lru_cache
-def _least_squares(intervals: int, degree: int) -> tuple[splines.Sparse, Any]:
-    """A spline's values at knots and midpoints, and the factors of A'A."""
-    operator = splines.midpoint_operator(intervals, degree)
-    return operator, scipy.sparse.linalg.splu((operator.T @ operator).tocsc())
-
-
-@lru_cache
-def _end_answers(
-    intervals: int, degree: int, part: int, rows: tuple[tuple[int, ...], ...]
-) -> Array:
-    """How the outer coefficients answer to conditions at both ends, in unit steps.
-
-    So that y*^(n) changes least.
-
-    Args:
-        intervals: of the grid.
-        degree: of the spline.
-        part: so many coefficients may change at each end.
-        rows: the derivatives that are prescribed at the start and at the end.
-
-    Returns:
-        ``(2 part, conditions)``.
-    """
-    count = intervals + degree
-    free = np.r_[:part, count - part : count]
-    changed = np.concatenate(
-        [
-            _end_conditions(intervals, degree, knot, 1.0)[list(some)]
-            for knot, some in zip((0, intervals), rows, strict=True)
-        ]
-    )[:, free]
-    highest = splines.knot_operator(intervals, degree, degree - 1, 1.0)[:, free]
-    few = sp.csr_array(changed)
-    system = sp.block_array([[highest.T @ highest, few.T], [few, None]]).tocsc()
-    wanted = np.eye(len(free) + len(changed))[:, len(free) :]
-    return np.asarray(scipy.sparse.linalg.splu(system).solve(wanted)[: len(free)])

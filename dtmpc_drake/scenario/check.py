@@ -26,12 +26,12 @@ from dtmpc_drake.method.stopping import range_needed
 from dtmpc_drake.method.tube import TubeStart, propagate
 from dtmpc_drake.models import IntegratorChain
 from dtmpc_drake.numerics.arrays import Array
-from dtmpc_drake.scenario.schema import Scenario
+from dtmpc_drake.scenario.schema import BACKENDS, Scenario
 from dtmpc_drake.scenario.size import require_affordable
 from dtmpc_drake.scenario.typed import typed
 
 CHOICES = {
-    "planner.backend": ("clarabel", "ipopt"),
+    "planner.backend": BACKENDS,
     "planner.tube_margin": ("norm", "support"),
     "planner.velocity_bound": ("comparison", "paper"),
     "planner.uncertainty": ("state_dependent", "constant"),
@@ -141,6 +141,10 @@ def _check_ranges(scenario: Scenario) -> None:
     N, low = planner.intervals, 2 * scenario.model.order + 2
     whole = f"a whole number in [{low}, 1000]"
     require("planner.intervals", N, low <= N <= 1000, whole)
+    for option in dataclasses.fields(planner.options):
+        number, field = getattr(planner.options, option.name), option.name
+        ok = 0 < number <= 1e9
+        require(f"planner.options.{field}", number, ok, "greater than 0, at most 1e9")
     iterations = planner.max_iterations
     ok = 1 <= iterations <= 10_000
     require("planner.max_iterations", iterations, ok, "at least 1, at most 10000")
@@ -171,6 +175,10 @@ def _check_parts(scenario: Scenario) -> None:
     scenario.disturbance.check("disturbance", setting)
     for i, obstacle in enumerate(scenario.obstacles):
         obstacle.check(f"obstacles[{i}]", setting)
+    for i, limit in enumerate(scenario.limits.own):
+        limit.check(f"limits.own[{i}]", setting)
+    for i, cost in enumerate(scenario.cost.own):
+        cost.check(f"cost.own[{i}]", setting)
 
 
 # Together.

@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from dtmpc_drake.costs import Cost
 from dtmpc_drake.disturbances import Disturbance, UniformHold
+from dtmpc_drake.limits import Limit
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.models import ConstantUncertainty, DragDoubleIntegrator, Model
 from dtmpc_drake.numerics.arrays import Array, BoolArray
@@ -67,23 +69,27 @@ class Limits:
     Attributes:
         input: u_m, the bound of the norm of u, in m/s².
         speed: the bound of the speed along every axis, in m/s.
+        own: any others, of registered classes; see `limits.Limit`.
     """
 
     input: float = 5.0
     speed: float = 2.5
+    own: list[Limit] = dataclasses.field(default_factory=list)
 
 
 @dataclasses.dataclass
-class Cost:
+class Costs:
     """Weights of the running cost uᵀQu + α̃ᵀRα̃ with α̃ = α - α_min.
 
     Attributes:
         input: Q, times the identity.
         bandwidth: R, times the identity.
+        own: any others, of registered classes; see `costs.Cost`.
     """
 
     input: float = 2.0
     bandwidth: float = 0.1
+    own: list[Cost] = dataclasses.field(default_factory=list)
 
 
 @dataclasses.dataclass
@@ -101,12 +107,99 @@ class Waypoint:
     acceleration: list[float] | None = None
 
 
+@dataclasses.dataclass(frozen=True)
+class SolverOptions:
+    """Tolerances of the search for plans, and how far it looks.
+
+    No certificate depends on any of them.  The defaults suit most problems.
+
+    Attributes:
+        tolerance: iterations stop when the next one promises less than this part of
+            the cost.
+        doubt: part of the tolerance that is left where a step was not taken whole.
+        accuracy: tolerance of a convex program's duality gap; a fiftieth of it for
+            feasibility.
+        coarse_accuracy: the same on the coarser grids.
+        coarsest: grids are halved for a first solution, down to no fewer intervals.
+        coarse_iterations: programs on each of the coarser grids, which only have to
+            find the way.
+        bandwidth_reserve: by how much the bandwidth stays inside its limits,
+            relative.
+        sampled_reserve: the same of limits that are looked at on the fine grid: the
+            tube's pieces round off the model's kinks.
+        linear_reserve: the same of limits on the reference's derivatives: the velocity
+            tube is proven with some slack.
+        backoff: how much programs ask for beyond every limit, in m and in the units
+            of limits over their scales, so that an iterate that is feasible to this
+            keeps the limit itself.
+        sampled_backoff: the same of limits that are looked at between knots, where
+            they may peak between the nodes, too.
+        penalty: first weight of the slack; raised while a converged plan still needs
+            slack.
+        max_penalty: largest weight of the slack.
+        rigid: a start that violates no more than this is hoped to need no slack.
+        rotation: weight of a half-plane's rotation, at least.
+        secant: half-width of the differences along the state, in its units.  Model
+            errors often have a kink at rest; a derivative would not see it, a secant
+            does.
+        proximity: first weight of the square of the step, at most, after one that
+            failed.
+        shortest_step: parts of a step below this are not tried.
+        max_failures: programs that the solver may fail to solve before the
+            iterations end.
+        near: part of all reaches near a solution; from a cold start they are whole.
+        obstacle_reach: pieces and obstacles further apart have no half-plane, in m.
+        obstacle_reach_of_a_step: the same in parts of what the speed limit allows
+            between two knots, if that is more.
+        linear_reach: control points with more margin than this part of a limit are
+            left out of the programs.
+        sampled_reach: the same of knots.
+        between_reach: the same of nodes between knots.
+        bandwidth_reach: bandwidths further above their lower bound, in parts of their
+            range, are left to the projection.
+        bandwidth_rate_reach: the same of rates below this part of their limit.
+    """
+
+    tolerance: float = 0.025
+    doubt: float = 0.6
+    accuracy: float = 5e-4
+    coarse_accuracy: float = 2e-3
+    coarsest: int = 12
+    coarse_iterations: int = 2
+    bandwidth_reserve: float = 2e-3
+    sampled_reserve: float = 2e-3
+    linear_reserve: float = 1e-3
+    backoff: float = 3e-4
+    sampled_backoff: float = 1e-3
+    penalty: float = 1e3
+    max_penalty: float = 1e6
+    rigid: float = 1e-2
+    rotation: float = 1.0
+    secant: float = 0.1
+    proximity: float = 0.1
+    shortest_step: float = 0.02
+    max_failures: int = 3
+    near: float = 0.3
+    obstacle_reach: float = 0.8
+    obstacle_reach_of_a_step: float = 0.32
+    linear_reach: float = 0.28
+    sampled_reach: float = 0.2
+    between_reach: float = 0.06
+    bandwidth_reach: float = 0.6
+    bandwidth_rate_reach: float = 0.5
+
+
+BACKENDS = ["clarabel", "ipopt"]
+"""What `Planner.backend` may be; `planning.backend.register_backend` adds to it."""
+
+
 @dataclasses.dataclass
 class Planner:
     """How the plan is computed.
 
     Attributes:
-        backend: ``clarabel`` (sequential convex programming) or ``ipopt``.
+        backend: ``clarabel`` (sequential convex programming), ``ipopt``, or one of
+            your own.
         intervals: N, the number of polynomial pieces.
         tube_margin: ``norm`` (the paper's) or ``support`` (tighter).
         velocity_bound: ``comparison`` (tighter) or ``paper``.
@@ -128,6 +221,7 @@ class Planner:
             a search for sides, which is 0.13 s of processor time for a stop (0.08 s
             for a plan around a new obstacle, 0.02 s for the next plan of a period,
             certificate included), and half as much again.
+        options: tolerances and reaches; none of them needs to be looked at.
     """
 
     backend: str = "clarabel"
@@ -141,6 +235,7 @@ class Planner:
     time_limit: float = 30.0
     replan_period: float | None = None
     compute_delay: float = 0.2
+    options: SolverOptions = dataclasses.field(default_factory=SolverOptions)
 
 
 @dataclasses.dataclass
@@ -207,7 +302,7 @@ class Scenario:
     disturbance: Disturbance = dataclasses.field(default_factory=UniformHold)
     controller: Controller = dataclasses.field(default_factory=Controller)
     limits: Limits = dataclasses.field(default_factory=Limits)
-    cost: Cost = dataclasses.field(default_factory=Cost)
+    cost: Costs = dataclasses.field(default_factory=Costs)
     start: Waypoint = dataclasses.field(default_factory=Waypoint)
     goal: Waypoint = dataclasses.field(
         default_factory=lambda: Waypoint(position=[0.0, 10.0, 0.0])

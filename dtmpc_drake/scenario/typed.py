@@ -112,6 +112,8 @@ def _registered(registry: Registry[Any], value: Any, path: str) -> Any:
     known = [cls for cls in registry if is_writable(cls)]
     names = ", ".join(f"!{cls.__name__}" for cls in known)
     if isinstance(value, Section):
+        if value.tag is None and not known:
+            raise ScenarioError(path, dict(value), "left out: no class is registered")
         tag = f"!{known[0].__name__}" if value.tag is None else value.tag
         cls = registry.kind(tag.removeprefix("!"))
         if not tag.startswith("!") or cls not in known:

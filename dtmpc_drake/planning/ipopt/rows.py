@@ -18,8 +18,9 @@ from pydrake.solvers import MathematicalProgram
 from dtmpc_drake.numerics import splines
 from dtmpc_drake.numerics.arrays import Array, jacobian
 from dtmpc_drake.obstacles.separation import Turning
-from dtmpc_drake.planning.scp.layout import Variables
-from dtmpc_drake.planning.transcription import Iterate, Local, Transcription
+from dtmpc_drake.planning.iterate import Iterate, Local
+from dtmpc_drake.planning.layout import Variables
+from dtmpc_drake.planning.transcription import Transcription
 
 ROUNDING = 0.02
 """Radius of what stands for a kink at rest, in units of the state.  At a kink the

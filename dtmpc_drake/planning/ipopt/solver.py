@@ -16,7 +16,16 @@ from collections.abc import Callable
 import numpy as np
 from pydrake.solvers import IpoptSolver, MathematicalProgram, SolverOptions
 
+from dtmpc_drake.costs import InputCost
+from dtmpc_drake.limits import LinearLimit, SampledLimit
 from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.planning.backend import (
+    Backend,
+    Effort,
+    Report,
+    Solution,
+    register_backend,
+)
 from dtmpc_drake.planning.deadline import NEVER, Deadline
 from dtmpc_drake.planning.ipopt.rows import (
     AtKnots,
@@ -27,9 +36,8 @@ from dtmpc_drake.planning.ipopt.rows import (
     add_squares,
     bound_rows,
 )
-from dtmpc_drake.planning.scp.algorithm import Result, violation
-from dtmpc_drake.planning.scp.linearise import BACKOFF
-from dtmpc_drake.planning.transcription import Iterate, Local, Transcription
+from dtmpc_drake.planning.iterate import Decisions, Iterate, Local
+from dtmpc_drake.planning.transcription import Transcription
 from dtmpc_drake.records.result import Iteration
 
 ROUNDS = 4
@@ -84,7 +92,8 @@ class _Program:
         self.scale = np.ones(layout.size)
         self.scale[layout.blocks["states"]] = STATE_SCALE
         # The cost weighs all decisions alike.
-        alike = np.sqrt(p.input_weight / max(p.bandwidth_weight, 1e-6))
+        of_input = sum(c.weight for c in p.costs if isinstance(c, InputCost))
+        alike = np.sqrt(of_input / max(p.bandwidth_cost.weight, 1e-6))
         self.scale[layout.blocks["bandwidth"]] = alike
         self._exact = layout.pack(tr, guess)
         self._none, self._shift = np.zeros((2, layout.size))
@@ -96,12 +105,12 @@ class _Program:
         self._add_bandwidth_rate()
         for pieces in _blocks(np.arange(tr.intervals)):
             self._bound(Collocation(tr, layout, pieces), self._none, 0.0, 0.0)
-        self._add_input()
-        self._add_speed()
+        self._add_sampled()
+        self._add_linear()
         # In the order of the pieces, so that those of a block read the same.
         for which in _blocks(np.argsort(guess.planes.piece, kind="stable")):
             rows = Separation(tr, layout, guess, which)
-            self._bound(rows, self._shift, BACKOFF, np.inf)
+            self._bound(rows, self._shift, tr.options.backoff, np.inf)
         self._add_cost()
 
     def _bound(
@@ -123,7 +132,8 @@ class _Program:
         """A function may grow by its margin at the guess, both ``(knots, r)``."""
         for some in _blocks(knots):
             rows = AtKnots(self.transcription, self.layout, some, function)
-            high = rows.values(self._exact) + margin[some].ravel() - BACKOFF
+            high = rows.values(self._exact) + margin[some].ravel()
+            high = high - self.transcription.options.backoff
             self._bound(rows, self._shift, -np.inf, high)
 
     def _add_row(self, columns: Array, values: Array, low: float, high: float) -> None:
@@ -149,7 +159,7 @@ class _Program:
         m = tr.outputs
         low, high = (
             np.tile(bound, (tr.intervals + 1, 1))
-            for bound in (tr.bandwidth_low, tr.bandwidth_high)
+            for bound in (tr.bandwidth.low, tr.bandwidth.high)
         )
         if p.start_bandwidth is not None:
             low[0] = high[0] = p.start_bandwidth
@@ -166,7 +176,7 @@ class _Program:
         tr, p, layout = self.transcription, self.transcription.problem, self.layout
         m = tr.outputs
         ends = [(0, k, p.start[k]) for k in range(tr.order)]
-        ends += [(-1, k, p.goal[k]) for k in tr.goal_rows]
+        ends += [(-1, k, p.goal[k]) for k in tr.ends.goal_rows]
         for knot, k, wanted in ends:
             rows = layout.local_matrix[k * m : (k + 1) * m]
             for row, value in zip(rows, wanted, strict=True):
@@ -182,73 +192,78 @@ class _Program:
 
     def _add_bandwidth_rate(self) -> None:
         tr = self.transcription
-        if tr.problem.bandwidth_is_fixed:
+        if tr.problem.bandwidth.is_fixed:
             return
-        block, limit = self.layout.blocks["bandwidth"], tr.bandwidth_change
+        block, limit = self.layout.blocks["bandwidth"], tr.bandwidth.change
         pair = np.array([-1.0, 1.0])
         for column in range(block.start, block.stop - tr.outputs):
             self._add_row(np.array([column, column + tr.outputs]), pair, -limit, limit)
 
-    def _add_input(self) -> None:
-        """The input's limit, and that of a constant that stands for Δ."""
-        tr, guess = self.transcription, self._guess
+    def _add_sampled(self) -> None:
+        """Limits on functions of one instant, at the knots."""
+        tr, law = self.transcription, self.transcription.problem.law
         knots = np.arange(tr.intervals + 1)
-        # A knot answers for the pieces on both sides.
-        worst = tr.pieces(guess.input_margin).min(axis=1)
-        least = np.minimum(np.append(worst, np.inf), np.append(np.inf, worst))
-        self._add_limit(
-            knots, lambda local: tr.used_input(local)[..., None], least[:, None]
-        )
-        trusted = guess.error_margin[:: tr.tube_steps]
-        if trusted.size:
-            self._add_limit(
-                knots,
-                lambda local: -tr.error_margin(local.state, local.error_bound),
-                trusted,
-            )
+        for limit, margin in zip(tr.problem.sampled, self._guess.sampled, strict=True):
+            least = margin[:: tr.tube_steps]
+            if limit.between_knots:  # a knot answers for the pieces on both sides
+                worst = tr.pieces(margin).min(axis=1)
+                none = np.full_like(least[:1], np.inf)
+                least = np.minimum(
+                    np.concatenate([worst, none]), np.concatenate([none, worst])
+                )
 
-    def _add_speed(self) -> None:
-        """Where it comes near its limit; later rounds see where else."""
-        tr, layout, margin = self.transcription, self.layout, self._guess.speed_margin
-        n, m = tr.order, tr.outputs
-        if n == 1:  # the speed at the knots, and a bound that is no state
+            def used(local: Local, limit: SampledLimit = limit) -> Array:
+                return -limit.margins(law, local.instant)
+
+            self._add_limit(knots, used, least)
+
+    def _add_linear(self) -> None:
+        """Where they come near; later rounds see where else."""
+        tr, law = self.transcription, self.transcription.problem.law
+        n, near = tr.order, tr.near_linear(self._guess)
+        for number, limit in enumerate(tr.problem.linear):
+            margin = self._guess.linear[number]
+            if limit.derivative < n:
+                self._add_linear_rows(number, near[number])
+                continue
+
+            def used(local: Local, limit: LinearLimit = limit) -> Array:
+                return -limit.margins(law, local.instant)
+
+            # y*^(n) at the knots, and a bound that is no state.
             at_knots = np.concatenate([margin[:, 0], margin[-1:, 1]])
-            self._add_limit(
-                np.flatnonzero((at_knots < tr.speed_reach).any(axis=(1, 2))),
-                lambda local: np.stack(
-                    [
-                        tr.used_rate(local) + local.highest,
-                        tr.used_rate(local) - local.highest,
-                    ],
-                    axis=-1,
-                ).reshape(*local.layer.shape[:-1], -1),
-                at_knots.reshape(len(at_knots), -1),
-            )
-            return
-        near = tr.near_the_speed_limit(self._guess)
-        count = tr.speed_basis.shape[1]
+            reach = tr.reach * tr.options.linear_reach * limit.size
+            close = np.flatnonzero((at_knots < reach).any(axis=1))
+            self._add_limit(close, used, at_knots)
+
+    def _add_linear_rows(self, number: int, near: Array) -> None:
+        tr, layout = self.transcription, self.layout
+        limit, basis = tr.problem.linear[number], tr.linear_bases[number]
+        margin, count = self._guess.linear[number], basis.shape[1]
+        normals = limit.normals(tr.outputs)
+        wide = np.abs(normals) @ layout.bounds[limit.derivative]
         first = np.arange(tr.intervals)
         reads = np.concatenate(
             [layout.coefficient_columns(first, count), layout.state_columns], axis=1
         )
-        for piece, control, axis, sign in zip(*np.nonzero(near), strict=True):
-            unit = np.eye(m)[axis]
-            speed = np.kron(tr.speed_basis[control], -unit if sign else unit)
-            rate, later = layout.rate_matrix[axis], control / n
-            row = np.concatenate([speed, (1 - later) * rate, later * rate])
+        for piece, control, column in zip(*np.nonzero(near), strict=True):
+            own = np.kron(basis[control], normals[column])
+            rate, later = wide[column], control / (len(basis) - 1)
+            row = np.concatenate([own, (1 - later) * rate, later * rate])
             columns = reads[piece]
             high = row @ (self._exact - self._shift)[columns]
-            high += margin[piece, control, axis, sign] - BACKOFF
+            high += margin[piece, control, column] - tr.options.backoff
             self._add_row(columns, row, -np.inf, high)
 
     def _add_cost(self) -> None:
         tr, p = self.transcription, self.transcription.problem
 
         def residuals(local: Local) -> Array:
-            excess = local.bandwidth - p.bandwidth_floor
-            return np.concatenate([tr.feedforward(local), excess], axis=-1)
+            excess = local.bandwidth - p.bandwidth_cost.floor
+            return np.concatenate([tr.residuals(local), excess], axis=-1)
 
-        each = np.repeat([p.input_weight, p.bandwidth_weight], tr.outputs)
+        own = tr.residuals(self._guess.local).shape[-1]
+        each = np.append(np.ones(own), np.full(tr.outputs, p.bandwidth_cost.weight))
         weights = tr.weights[:, None] * each
         for knots in _blocks(np.arange(tr.intervals + 1)):
             add_squares(
@@ -290,7 +305,7 @@ class _Program:
             rotation = z[blocks["rotation"]].reshape(len(hint.piece), -1)
             hint = hint.turned(rotation)
         with np.errstate(all="ignore"):  # an iterate that diverges may overflow
-            return tr.evaluate(coefficients, tr.feasible_bandwidth(alpha), hint=hint)
+            return tr.evaluate(coefficients, tr.bandwidth.feasible(alpha), hint=hint)
 
     def states(self, z: Array) -> Array:
         """The tube's, shaped as `Transcription.tube_states`."""
@@ -309,78 +324,86 @@ def _blocks(index: Array) -> list[Array]:
     return np.array_split(index, -(-len(index) // BLOCK)) if len(index) else []
 
 
-def solve_nlp(
-    transcription: Transcription,
-    decisions: tuple[Array, Array],
-    *,
-    report: Callable[[Iteration], None],
-    deadline: Deadline = NEVER,
-) -> Result:
+@register_backend
+class Ipopt(Backend):
     """Solves the nonlinear program, again where its result shows more is needed.
 
     Where a solve ends worse than it began, as one that diverges does, the best
     iterate is what counts.
-
-    Args:
-        transcription: of the problem.
-        decisions: coefficients and bandwidth to start from.
-        report: is given every solve.
-        deadline: after which IPOPT is stopped.
     """
-    tr = transcription
-    clock = time.perf_counter
-    current = best = tr.evaluate(*decisions)
-    correction = np.zeros_like(tr.tube_states(current))
-    worst = least = violation(current)
-    if not np.isfinite([worst, current.cost]).all():
-        return Result(current, False, np.inf)
-    status: str | None = None
-    for _ in range(ROUNDS):
-        if deadline.passed:
-            return Result(best, False, least, out_of_time=True)
-        t0 = clock()
-        program = _Program(tr, current, correction)
-        t1 = clock()
-        z, success, status = program.solve(deadline)
-        t2 = clock()
-        if not np.isfinite(z).all():
-            return Result(best, False, least, _words(status))
-        before = current
-        current = program.evaluate(z)
-        worst = violation(current)
-        if worst < least or (worst <= BACKOFF and current.cost < best.cost):
-            best, least = current, worst
-        states, exact = program.states(z), tr.tube_states(current)
-        defect = exact - states - correction
-        correction = exact - states
-        t3 = clock()
-        step = np.abs(current.coefficients - before.coefficients).max()
-        report(
-            Iteration(
-                intervals=tr.intervals,
-                cost=current.cost,
-                violation=worst,
-                slack=0.0,
-                defect=float(np.abs(defect).max()),
-                step=float(step),
-                fraction=1.0,
-                proximity=0.0,
-                predicted=before.cost - current.cost,
-                update_time=t1 - t0,
-                solve_time=t2 - t1,
-                evaluate_time=t3 - t2,
-                status=status,
+
+    name = "ipopt"
+    price = 20.0
+
+    def refine(
+        self,
+        transcription: Transcription,
+        decisions: Decisions,
+        *,
+        effort: Effort,
+        report: Report,
+        deadline: Deadline = NEVER,
+    ) -> Solution:
+        """See base class; of the effort nothing is looked at."""
+        tr = transcription
+        clock = time.perf_counter
+        current = best = tr.evaluate(*decisions)
+        correction = np.zeros_like(tr.tube_states(current))
+        worst = least = tr.violation(current)
+        if not np.isfinite([worst, current.cost]).all():
+            return Solution(tr, current, np.inf)
+        status: str | None = None
+        for _ in range(ROUNDS):
+            if deadline.passed:
+                return Solution(tr, best, least, out_of_time=True)
+            t0 = clock()
+            program = _Program(tr, current, correction)
+            t1 = clock()
+            z, success, status = program.solve(deadline)
+            t2 = clock()
+            if not np.isfinite(z).all():
+                return Solution(tr, best, least, failure=_words(status))
+            before = current
+            current = program.evaluate(z)
+            worst = tr.violation(current)
+            feasible = worst <= tr.options.backoff
+            if worst < least or (feasible and current.cost < best.cost):
+                best, least = current, worst
+            states, exact = program.states(z), tr.tube_states(current)
+            defect = exact - states - correction
+            correction = exact - states
+            t3 = clock()
+            step = np.abs(current.coefficients - before.coefficients).max()
+            report(
+                Iteration(
+                    intervals=tr.intervals,
+                    cost=current.cost,
+                    violation=worst,
+                    slack=0.0,
+                    defect=float(np.abs(defect).max()),
+                    step=float(step),
+                    fraction=1.0,
+                    proximity=0.0,
+                    predicted=before.cost - current.cost,
+                    update_time=t1 - t0,
+                    solve_time=t2 - t1,
+                    evaluate_time=t3 - t2,
+                    status=status,
+                )
             )
+            if worst <= tr.options.backoff:
+                return Solution(
+                    tr, best, least, success, None if success else _words(status)
+                )
+            if deadline.passed:
+                return Solution(tr, best, least, out_of_time=True)
+            if not success and "nfeasible" in status:
+                return Solution(tr, best, least)
+            if not success and "iverg" in status:
+                return Solution(tr, best, least, failure=_words(status))
+        return Solution(
+            tr, best, least, failure=None if success else _words(str(status))
         )
-        if worst <= BACKOFF:
-            return Result(best, success, least, None if success else _words(status))
-        if deadline.passed:
-            return Result(best, False, least, out_of_time=True)
-        if not success and "nfeasible" in status:
-            return Result(best, False, least)
-        if not success and "iverg" in status:
-            return Result(best, False, least, _words(status))
-    return Result(best, False, least, None if success else _words(str(status)))
 
 
 def _words(status: str) -> str:

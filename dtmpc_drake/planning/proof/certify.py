@@ -7,23 +7,14 @@ plan's own polynomials, and every margin is bounded from below on short interval
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
-from dtmpc_drake.method.margin import Margin, smallest, worst
-from dtmpc_drake.method.tightening import Instant, input_bound, rate_bound
-from dtmpc_drake.models import ConstantUncertainty
-from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.limits import ObstacleLimit
+from dtmpc_drake.method.enclosure import Enclosure
+from dtmpc_drake.method.margin import Margin, smallest
 from dtmpc_drake.planning.problem import Problem
-from dtmpc_drake.planning.proof.bandwidth import bandwidth_margins
 from dtmpc_drake.planning.proof.consistency import consistency_margins, plan_faults
-from dtmpc_drake.planning.proof.enclosure import (
-    Corridor,
-    Enclosure,
-    claimed_corridor,
-    enclose,
-)
+from dtmpc_drake.planning.proof.enclosure import claimed_corridor, enclose
 from dtmpc_drake.records.certificate import OF_THE_ENDS, Certificate
 from dtmpc_drake.records.plan import Plan
 
@@ -87,31 +78,11 @@ def certify(plan: Plan, problem: Problem) -> Certificate:
 
 def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Margin]:
     """Every margin by name."""
-    n, corridor = problem.model.order, enclosure.corridor
-    time, middle = corridor.time[:-1], corridor.reference.derivatives
-    radius = enclosure.reference_radius
+    n, time = problem.law.order, enclosure.time
     margins: dict[str, Margin] = {}
-    if len(problem.obstacles):
-        margins["obstacles"] = _obstacle_margin(problem, corridor)
-
-    # κ - Δ(x*), which is also K(x) - Δ(x), is a polynomial; the norm of y*^(n), which
-    # is linear, is largest at an end.
-    rise = corridor.reference.half * middle[:, n + 1]
-    instants = Instant(
-        state=middle[:, :n],
-        highest=np.stack([middle[:, n] - rise, middle[:, n] + rise]),
-        gain=problem.law.gain(middle[:, :n], enclosure.layer.derivatives[:, 1]),
-        error_bound=enclosure.error_bound,
-        state_radius=radius,
-        gain_radius=enclosure.layer.radius(1),
-    )
-    speed = problem.speed_limit - corridor.reference.largest(1)
-    speed = speed - rate_bound(problem.law, instants)
-    margins["speed"] = smallest(time, speed, "m/s", "axis")
-    used = input_bound(problem.law, instants)
-    room = (problem.input_limit - used.max(axis=0))[:, None]
-    margins["input"] = smallest(time, room, f"m/s^{n}", "")
-    margins |= bandwidth_margins(plan, problem, enclosure)
+    for limit in problem.limits:
+        margins |= limit.certify(plan, enclosure)
+    margins |= problem.bandwidth.certify(plan, enclosure)
     thinnest = enclosure.layer.derivatives[:, 0] - enclosure.layer.radius(0)
     margins["boundary_layer"] = smallest(time, thinnest, "m/s", "axis")
     tolerance = np.full((n, 1), TUBE_TOLERANCE)
@@ -119,14 +90,7 @@ def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Ma
     own = enclosure.claim_excess + tolerance
     bounds = [f"bound {k} on axis {i}" for k in range(n) for i in range(own.shape[2])]
     margins["tube"] = smallest(time, own.reshape(len(time), -1), "", bounds)
-    margins |= consistency_margins(plan, problem)
-    if isinstance(problem.model, ConstantUncertainty) and problem.model.covers:
-        true = problem.model.model.model_error_bound_over(
-            middle[:, :n], enclosure.error_bound + radius
-        )
-        room = problem.model.bound - true
-        margins["model_error"] = smallest(time, room, "m/s²", "axis")
-    return margins
+    return margins | consistency_margins(plan, problem)
 
 
 def clearance_ahead(plan: Plan, problem: Problem, start: float) -> Margin:
@@ -138,58 +102,6 @@ def clearance_ahead(plan: Plan, problem: Problem, start: float) -> Margin:
         start: in s.
     """
     corridor = claimed_corridor(plan, longest=INTERVALS[0], slack=TUBE_TOLERANCE)
-    return _obstacle_margin(problem, corridor, start)
-
-
-def _obstacle_margin(
-    problem: Problem, corridor: Corridor, after: float = -np.inf
-) -> Margin:
-    """Clearance of the tube, for all times: branch and bound.
-
-    An interval is as long as a step of the plan's own tube; those on which the
-    bound is negative are halved, down to those of the corridor.
-    """
-    stride = corridor.parts
-    start: Array = np.arange(0, len(corridor.time) - 1, stride)
-    ahead = corridor.time[start + stride] > after
-    start = start[ahead] if ahead.any() else start[-1:]  # a plan holds its end
-    found: list[Margin] = []
-    while len(start):
-        values = _clearance_bounds(problem, corridor, start, stride)
-        open_ = (values < 0).any(axis=1) & (stride > 1)
-        if not open_.all():
-            time = corridor.time[start[~open_]]
-            margin = smallest(time, values[~open_], "m", "")
-            nearest = problem.obstacles.index[values[~open_].min(axis=0).argmin()]
-            found.append(dataclasses.replace(margin, where=f"obstacle {nearest}"))
-        stride //= 2
-        start = (start[open_, None] + [0, stride]).ravel()
-    return worst(found)
-
-
-def _clearance_bounds(
-    problem: Problem, corridor: Corridor, start: Array, stride: int
-) -> Array:
-    """Lower bounds of the clearance on some intervals.
-
-    Within an interval the reference leaves its chord by at most ``h²/8 max|ÿ*|``,
-    and Ω by ``h²/8 max|d²Ω/dt²|``.
-
-    Args:
-        problem: gives the obstacles.
-        corridor: of the plan.
-        start: indices into its times, ``(q,)``.
-        stride: how many of its intervals make one of these.
-
-    Returns:
-        Shape ``(q, num_obstacles)``.
-    """
-    ends = np.stack([start, start + stride])
-    inner = start[:, None] + np.arange(stride)
-    bend = corridor.reference.largest(2) + corridor.position_bend
-    return problem.obstacles.clearance_along(
-        corridor.reference.at_ends()[ends],
-        corridor.position_tube[ends],
-        leave=(stride * corridor.step) ** 2 / 8 * bend[inner].max(axis=1),
-        margin=problem.tube_margin,
+    return ObstacleLimit(problem.obstacles, problem.tube_margin).clearance(
+        corridor, start
     )

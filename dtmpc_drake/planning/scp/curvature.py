@@ -18,11 +18,10 @@ import numpy as np
 
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.obstacles.separation import Halfplanes
-from dtmpc_drake.planning.scp.layout import Variables
-from dtmpc_drake.planning.transcription import Iterate, Transcription
+from dtmpc_drake.planning.iterate import Iterate
+from dtmpc_drake.planning.layout import Variables
+from dtmpc_drake.planning.transcription import Transcription
 
-SMALLEST_HIGHEST = 0.05
-"""Norms of y*^(n) below this are taken for it: they bend without limit at zero."""
 LOSS = 0.25
 """Part of what turning a half-plane loses that is priced."""
 
@@ -33,39 +32,42 @@ class Multipliers:
 
     Attributes:
         planes: of every obstacle at every control point, ``(N, o, controls)``.
-        input: at every node of the fine grid, ``(M + 1,)``.
+        sampled: of each of `Problem.sampled` at every node of the fine grid,
+            ``(M + 1, q)``.
     """
 
     planes: Array
-    input: Array
+    sampled: tuple[Array, ...]
 
     @classmethod
-    def none(cls, transcription: Transcription) -> Multipliers:
+    def none(cls, transcription: Transcription, iterate: Iterate) -> Multipliers:
         """Before the first program."""
         tr = transcription
         planes = tr.intervals, len(tr.problem.obstacles), tr.control_degree + 1
-        return cls(np.zeros(planes), np.zeros(tr.intervals * tr.tube_steps + 1))
+        sampled = tuple(np.zeros(margin.shape) for margin in iterate.sampled)
+        return cls(np.zeros(planes), sampled)
 
-    def refined(self, transcription: Transcription) -> Multipliers:
+    def refined(self, transcription: Transcription, iterate: Iterate) -> Multipliers:
         """The same prices, shared by the more rows of a finer grid."""
-        zero = Multipliers.none(transcription)
+        zero = Multipliers.none(transcription, iterate)
 
         def shared(values: Array, count: int) -> Array:
             index = np.arange(count) * len(values) // count
             return np.asarray(values[index] * (len(values) / count))
 
+        def at_nodes(values: Array, like: Array) -> Array:
+            return np.concatenate([shared(values[:-1], len(like) - 1), like[:1]])
+
         return Multipliers(
             planes=shared(self.planes, len(zero.planes)),
-            input=np.append(shared(self.input[:-1], len(zero.input) - 1), 0.0),
+            sampled=tuple(map(at_nodes, self.sampled, zero.sampled)),
         )
 
 
-def input_curvature(
+def sampled_curvature(
     transcription: Transcription, iterate: Iterate, multipliers: Multipliers
 ) -> Array:
-    """Hessians of ‖y*^(n)‖, priced, by the coefficients that act on each piece.
-
-    Where B is not the identity, that norm stands for that of B⁻¹ y*^(n).
+    """Hessians of what bends in y*^(n), priced, by the coefficients of each piece.
 
     Returns:
         ``(N, (degree + 1) m, (degree + 1) m)``.
@@ -73,12 +75,14 @@ def input_curvature(
     tr = transcription
     width = (tr.degree + 1) * tr.outputs
     result = np.zeros((tr.intervals, width, width))
-    nodes = np.flatnonzero(multipliers.input[:-1])
-    if len(nodes):
-        highest = tr.local_at(iterate, nodes).highest
-        size = np.linalg.norm(highest, axis=1)
-        bend = _bend(highest, np.maximum(size, SMALLEST_HIGHEST))
-        bend *= multipliers.input[nodes, None, None]
+    for limit, price in zip(tr.problem.sampled, multipliers.sampled, strict=True):
+        nodes = np.flatnonzero(price[:-1].any(axis=1))
+        if not len(nodes):
+            continue
+        bend = limit.curvature(tr.local_at(iterate, nodes).instant)
+        if bend is None:
+            continue
+        bend = bend * price[nodes].sum(axis=1)[:, None, None]
         basis = tr.basis_at(nodes)[:, tr.order]
         each = np.einsum("pc,pij,pd->pcidj", basis, bend, basis, optimize=True)
         np.add.at(result, nodes // tr.tube_steps, each.reshape(-1, width, width))
@@ -120,10 +124,3 @@ def rotation_curvature(planes: Halfplanes, multipliers: Multipliers) -> Array:
     lost = np.maximum(planes.lost_by_turning(), 0.0)
     price = multipliers.planes[planes.piece, planes.obstacle]
     return np.asarray(LOSS * (price * lost).sum(axis=1))
-
-
-def _bend(vector: Array, size: Array) -> Array:
-    """The Hessian of a norm, ``(I - v v' / ‖v‖²) / ‖v‖``, ``(p, d, d)``."""
-    unit = vector / size[:, None]
-    outer = unit[:, :, None] * unit[:, None, :]
-    return np.asarray((np.eye(vector.shape[1]) - outer) / size[:, None, None])

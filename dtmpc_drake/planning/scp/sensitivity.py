@@ -16,8 +16,9 @@ from dtmpc_drake.models import IntegratorChain
 from dtmpc_drake.numerics import splines
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.differences import Differences, differences
+from dtmpc_drake.planning.iterate import Iterate
 from dtmpc_drake.planning.problem import Problem
-from dtmpc_drake.planning.transcription import Iterate, Transcription
+from dtmpc_drake.planning.transcription import Transcription
 
 SMOOTH = 1.0
 """Second derivatives up to twice this are left to the next linearisation."""

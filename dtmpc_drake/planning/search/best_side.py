@@ -8,8 +8,9 @@ unless its coarse solution is hopeless; then it is planned last, if no other pla
 certified.  So a search never loses a plan.
 
 How many are tried follows from a budget in seconds and the fixed prices below.
-They are what a solve takes on the machine that they were measured on; on a faster
-or slower one the search takes less or more time, but never finds another plan.
+They are what a solve takes on the machine that they were measured on, in times of the
+backend's own price; on a faster or slower one the search takes less or more time, but
+never finds another plan.
 
 Candidates are solved in threads.  A convex program runs outside of Python's global
 lock, so two cores help, and the result does not depend on how many there are.
@@ -22,17 +23,18 @@ import math
 import os
 import time
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.planning.backend import Effort, backend_of
 from dtmpc_drake.planning.deadline import NEVER, Deadline
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.planning.proof.certify import certify
-from dtmpc_drake.planning.scp.algorithm import Effort, iterate_to_convergence
 from dtmpc_drake.planning.search.sides import NEITHER, Way, propose, sides_of
-from dtmpc_drake.planning.transcription import Guess, Transcription
+from dtmpc_drake.planning.starts import Guess, along, straight_line
+from dtmpc_drake.planning.transcription import Transcription
 from dtmpc_drake.records.candidate import (
     BLOCKED,
     EARLIER,
@@ -42,11 +44,8 @@ from dtmpc_drake.records.candidate import (
     Candidate,
 )
 from dtmpc_drake.records.plan import Plan
-from dtmpc_drake.records.result import Iteration
+from dtmpc_drake.records.result import Iteration, PlanningResult
 from dtmpc_drake.scenario import Planner
-
-if TYPE_CHECKING:
-    from dtmpc_drake.records.result import PlanningResult
 
 COARSEST = 14
 """Candidates are solved on half of the plan's intervals, but no fewer than this."""
@@ -260,7 +259,8 @@ def affordable(problem: Problem, settings: Planner) -> tuple[int, int]:
     a larger one are for the coarse solves.
     """
     varies = problem.model.error_bound_varies
-    budget = settings.time_budget / (settings.intervals / PRICED)
+    price = backend_of(settings.backend).price
+    budget = settings.time_budget / (settings.intervals / PRICED) / price
     solves = max(2, math.floor(2 / 3 * budget / COARSE_PRICE[varies] + 1e-9))
     left = budget - solves * COARSE_PRICE[varies]
     return solves, max(2, math.floor(left / FINE_PRICE[varies] + 1e-9))
@@ -273,16 +273,18 @@ def _coarse_intervals(settings: Planner) -> int:
 def _solve_coarsely(
     problem: Problem, settings: Planner, start: str, way: Way, deadline: Deadline
 ) -> _Coarse:
-    transcription = Transcription(problem, _coarse_intervals(settings), reach=0.5)
+    transcription = Transcription(
+        problem, _coarse_intervals(settings), settings.options, reach=0.5
+    )
     if start == STRAIGHT:
-        decisions = transcription.straight_line()
+        decisions = straight_line(transcription)
     else:
-        decisions = transcription.along(way.points)
+        decisions = along(transcription, way.points)
     history: list[Iteration] = []
-    result = iterate_to_convergence(
+    result = backend_of(settings.backend).refine(
         transcription,
         decisions,
-        effort=Effort(tolerance=0.01, max_iterations=ITERATIONS, coarse=True),
+        effort=Effort(ITERATIONS, tolerance=0.01, coarse=True),
         report=history.append,
         deadline=deadline,
     )

@@ -166,7 +166,7 @@ class Section:
 def nominal_tube(problem: Problem) -> Array:
     """Ω at rest with the highest bandwidth and a model without error, ``(m,)``."""
     forcing = problem.law.forcing_of(0.0)
-    layer = forcing / problem.bandwidth_max
+    layer = forcing / problem.bandwidth.high
     return np.asarray(layer / problem.law.slope ** (problem.law.order - 1))
 
 
@@ -220,7 +220,7 @@ def propose(problem: Problem, count: int) -> list[Way]:
         choices = itertools.islice(_choices(layers, frame), POOL * count)
         tight = _pulled_tight(list(choices), frame, len(obstacles))
     tight.sort(key=lambda way: (way.length, way.sides))
-    longest = problem.speed_limit * np.sqrt(len(start)) * problem.duration
+    longest = problem.speed.bound * np.sqrt(len(start)) * problem.duration
     found: list[Way] = []
     for batch in (tight[k : k + count] for k in range(0, len(tight), count)):
         paths = _pushed_out(np.array([w.points for w in batch]), obstacles, tube)

@@ -1,4 +1,4 @@
-"""Where everything lives in the vector of a convex program.
+"""Where everything lives in the vector of a program, for every backend.
 
 The vector z stacks, knot-major with the axes fastest: the spline coefficients of
 y*; the bandwidth at the knots; the tube's states at the knots (the cascade's
@@ -17,7 +17,6 @@ import numpy as np
 
 from dtmpc_drake.numerics import splines
 from dtmpc_drake.numerics.arrays import Array
-from dtmpc_drake.planning.scp.clarabel import Layout, Window
 from dtmpc_drake.planning.transcription import Transcription, hermite_controls
 
 
@@ -32,7 +31,6 @@ class Variables:
     Attributes:
         blocks: slices of z by name.
         size: of z.
-        layout: of the programs.
         num_states: S, of the tube at a knot.
         knot_columns: entries that one knot reads, ``(K, C)``.
         alpha_columns: the bandwidth at a knot, ``(K, m)``.
@@ -75,7 +73,6 @@ class Variables:
             self.size += count
 
         S = self.num_states * m
-        self.layout = self._layout(tr, len(kinked))
         knots = np.arange(N + 1)[:, None]
         self.alpha_columns = self.blocks["bandwidth"].start + knots * m + np.arange(m)
         self.knot_columns = np.concatenate(
@@ -111,27 +108,6 @@ class Variables:
         self.local_matrix = self._local_matrix(transcription, bounds)
         self.rate_matrix = bounds[min(1, n - 1)]
         self.tube_matrix = self._tube_matrix(transcription)
-
-    def _layout(self, tr: Transcription, moves: int) -> Layout:
-        """Costs that couple no more than what acts on one piece."""
-        m, S, N = tr.outputs, self.num_states * tr.outputs, tr.intervals
-        # Width, stride and number of the windows.
-        costs = {
-            "coefficients": ((tr.degree + 1) * m, m, N),
-            "bandwidth": (m, m, N + 1),
-            "moves": (moves, moves, N + 1),
-            "rotation": (self.tangents, self.tangents, self.num_planes),
-        }
-        if tr.problem.model.error_bound_varies:
-            costs["states"] = (2 * S, S, N)
-        return Layout(
-            self.size,
-            tuple(
-                (name, Window(self.blocks[name].start, *shape))
-                for name, shape in costs.items()
-                if all(shape)
-            ),
-        )
 
     def coefficient_columns(self, first: Array, count: int) -> Array:
         """The columns of `count` spline coefficients each, ``(P, count m)``."""

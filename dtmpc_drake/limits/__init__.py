@@ -1,0 +1,32 @@
+"""What a plan must keep, one limit a file.
+
+A limit answers the same few questions for everybody: what is left of it at an instant,
+and what is proven for all times of an interval.  Nothing that searches for plans may
+enter here: the certificate rests on this room.
+"""
+
+from dtmpc_drake.limits.bandwidth import BandwidthLimit
+from dtmpc_drake.limits.base import (
+    LIMITS,
+    Limit,
+    LinearLimit,
+    SampledLimit,
+    register_limit,
+)
+from dtmpc_drake.limits.cover import CoverLimit
+from dtmpc_drake.limits.input import InputLimit
+from dtmpc_drake.limits.obstacles import ObstacleLimit
+from dtmpc_drake.limits.speed import SpeedLimit
+
+__all__ = [
+    "LIMITS",
+    "BandwidthLimit",
+    "CoverLimit",
+    "InputLimit",
+    "Limit",
+    "LinearLimit",
+    "ObstacleLimit",
+    "SampledLimit",
+    "SpeedLimit",
+    "register_limit",
+]
