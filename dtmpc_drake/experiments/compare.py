@@ -32,7 +32,7 @@ from dtmpc_drake.planning.baselines import (
 )
 from dtmpc_drake.records.flights import Flights
 from dtmpc_drake.scenario import Scenario
-from dtmpc_drake.visualization.figures import Panel, plot_plans
+from dtmpc_drake.visualization import Panel, plot_plans
 
 DISTURBANCES = tuple(name for name in KINDS if name != "uniform")
 """What every plan has to fly through: the hard ones."""

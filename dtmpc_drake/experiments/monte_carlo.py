@@ -26,7 +26,12 @@ from dtmpc_drake.scenario import (
     WorstCase,
 )
 from dtmpc_drake.scenario.error import ScenarioError
-from dtmpc_drake.visualization import plot_plan, plot_quantiles, write_replay
+from dtmpc_drake.visualization import (
+    ShownFlight,
+    plot_plan,
+    plot_quantiles,
+    write_replay,
+)
 
 KINDS: dict[str, Callable[[list[float]], Disturbance]] = {
     "uniform": lambda bound: UniformHold(bound=bound),
@@ -303,13 +308,17 @@ def draw(
         ratios={labels[name]: f.position_ratio for name, f in flights.items()},
     ).savefig(out / "quantiles.png")
     hardest = max(flights.values(), key=lambda f: float(f.worst_ratios[f.hardest, 1]))
-    write_replay(
-        scenario=scenario,
-        plan=plan,
+    count = sum(map(len, flights.values()))
+    shown = ShownFlight(
         time=first.time,
         position=hardest.position[hardest.hardest],
-        path=out / "replay.html",
-        color_by=color_by,
-        status=f"{sum(map(len, flights.values()))} flights; the worst is drawn large",
+        status=f"{count} flights; the worst is drawn large",
         clouds=clouds,
+    )
+    write_replay(
+        out / "replay.html",
+        scenario=scenario,
+        plan=plan,
+        flight=shown,
+        color_by=color_by,
     )
