@@ -16,7 +16,12 @@ from dtmpc_drake.models import (
     Model,
     SampledBoxBounds,
 )
-from dtmpc_drake.numerics.arrays import second_differences, euclidean_norm, jacobian, magnitude
+from dtmpc_drake.numerics.arrays import (
+    euclidean_norm,
+    jacobian,
+    magnitude,
+    second_differences,
+)
 from tests.models_for_tests import every_model, name_of
 
 models = pytest.mark.parametrize("model", every_model(), ids=name_of)

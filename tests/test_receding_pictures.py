@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 
@@ -97,13 +98,7 @@ def test_the_figure_has_the_first_plan_and_one_for_each_discovery(
     experiment: Experiment,
 ) -> None:
     log = log_of(experiment)
-    figure = plot_receding_horizon(
-        scenario=experiment.scenario,
-        replans=log.replans,
-        time=log.time,
-        position=log.position,
-        known_since=log.known_since,
-    )
+    figure = plot_receding_horizon(scenario=experiment.scenario, flight=log)
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     assert titles[:4] == [
         "the first plan",
@@ -117,18 +112,13 @@ def test_the_figure_has_the_first_plan_and_one_for_each_discovery(
     with pytest.raises(ValueError, match="needs two"):
         plot_receding_horizon(
             scenario=experiment.scenario,
-            replans=log.replans,
-            time=log.time,
-            position=log.position[:, :1],
-            known_since=log.known_since,
+            flight=dataclasses.replace(log, state=log.state[..., :1]),
         )
 
 
 def test_the_time_line_has_every_plan(experiment: Experiment) -> None:
     log = log_of(experiment)
-    figure = plot_replans(
-        scenario=experiment.scenario, replans=log.replans, known_since=log.known_since
-    )
+    figure = plot_replans(scenario=experiment.scenario, flight=log)
     top, middle, bottom = figure.axes
     labels = [label.get_text() for label in top.get_yticklabels()]
     assert labels[-1] == "certified" and "braking" in labels

@@ -12,8 +12,12 @@ from pydrake.common import RandomGenerator
 from pydrake.common.value import Value
 from pydrake.symbolic import Evaluate, Expression, MakeVectorContinuousVariable
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, System
-from pydrake.systems.primitives import FirstOrderTaylorApproximation, Linearize
+from pydrake.systems.framework import Context, DiagramBuilder, System
+from pydrake.systems.primitives import (
+    ConstantVectorSource,
+    FirstOrderTaylorApproximation,
+    Linearize,
+)
 
 from dtmpc_drake.disturbances import (
     BangBang,
@@ -75,6 +79,26 @@ def make_plant(drag: float = 0.3) -> Any:
         model=DragDoubleIntegrator(0.2, 0.2),
         parameters={"drag": drag},
         initial_state=np.array([[1.0, 2.0, 3.0], [0.0, 3.0, 4.0]]),
+    )
+
+
+def test_a_plant_adds_itself_to_a_diagram_with_its_inputs_connected() -> None:
+    builder = DiagramBuilder()
+    push = {"control": [1.0, -2.0], "disturbance": [0.25, 0.5]}
+    ports = {
+        name: builder.AddSystem(ConstantVectorSource(value)).get_output_port()
+        for name, value in push.items()
+    }
+    plant = Plant.AddToBuilder(
+        builder=builder, model=IntegratorChain(2, 2), initial_state=np.eye(2), **ports
+    )
+    assert plant.get_name() == "plant"
+    diagram = builder.Build()
+    context = diagram.CreateDefaultContext()
+    rates = diagram.EvalTimeDerivatives(context).get_vector().CopyToVector()
+    np.testing.assert_array_equal(rates, [0.0, 1.0, 1.25, -1.5])
+    assert not plant.GetInputPort("model_error").HasValue(
+        plant.GetMyContextFromRoot(context)
     )
 
 

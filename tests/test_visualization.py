@@ -15,13 +15,26 @@ from matplotlib.patches import PathPatch, Polygon
 from pydrake.geometry import Meshcat, MeshcatParams
 
 from dtmpc_drake.disturbances import UniformHold
-from dtmpc_drake.models import IntegratorChain
+from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
 from dtmpc_drake.numerics.arrays import FloatArray
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Obstacle, ObstacleSet, Sphere
 from dtmpc_drake.planning import plan as make_plan
+from dtmpc_drake.records.flight import Flight
 from dtmpc_drake.records.plan import Plan
-from dtmpc_drake.scenario import Controller, Limits, Planner, Scenario, Waypoint
-from dtmpc_drake.visualization import plot_histories, plot_plan, write_replay
+from dtmpc_drake.records.verdict import empty_record
+from dtmpc_drake.scenario import (
+    Controller,
+    Limits,
+    Planner,
+    Scenario,
+    Waypoint,
+)
+from dtmpc_drake.visualization import (
+    ShownFlight,
+    plot_histories,
+    plot_plan,
+    write_replay,
+)
 from dtmpc_drake.visualization.geometry import (
     embedding,
     obstacle_intervals,
@@ -32,7 +45,7 @@ from dtmpc_drake.visualization.geometry import (
     travel_frames,
     tube_rings,
 )
-from dtmpc_drake.visualization.replay import ROOT, add_scene, field_corners
+from dtmpc_drake.visualization.scene import ROOT, add_scene, field_corners
 from dtmpc_drake.visualization.style import Coloring, unit_of
 
 OBSTACLES: dict[int, list[Obstacle]] = {
@@ -80,6 +93,24 @@ def flown(plan: Plan, seed: int = 0) -> tuple[FloatArray, FloatArray]:
     return time, state
 
 
+def flight_of(plan: Plan) -> Flight:
+    """A flight somewhere in the tube, with the plan's own highest derivative as u."""
+    time, state = flown(plan)
+    reference = plan.reference(time)
+    return Flight(
+        time=time,
+        state=state,
+        control=reference[:, -1],
+        reference=reference,
+        disturbance=np.zeros_like(reference[:, 0]),
+        tube_ratios=np.zeros((len(time), 3, plan.num_outputs)),
+        clearance=np.full((len(time), 1), np.inf),
+        record=empty_record(),
+        status="certified",
+        known_since=np.zeros(0),
+    )
+
+
 def texts(figure: Figure) -> str:
     """All axis labels, colour bars included."""
     labels = [text for ax in figure.axes for text in (ax.get_xlabel(), ax.get_ylabel())]
@@ -96,15 +127,11 @@ def legend(figure: Figure) -> list[str]:
 @pytest.mark.parametrize(("order", "outputs"), SHAPES)
 def test_figures_work_for_every_order_and_size(order: int, outputs: int) -> None:
     scenario, plan = planned(order, outputs)
-    time, state = flown(plan)
-    figure = plot_plan(scenario=scenario, plan=plan, position=state[:, 0])
+    figure = plot_plan(scenario=scenario, plan=plan, position=flown(plan)[1][:, 0])
     figure.draw_without_rendering()
     assert "rad/s" in texts(figure)
     assert "flown" in legend(figure)
-    control = plan.reference(time)[:, order]
-    figure = plot_histories(
-        scenario=scenario, plan=plan, time=time, state=state, control=control
-    )
+    figure = plot_histories(scenario=scenario, plan=plan, flight=flight_of(plan))
     figure.draw_without_rendering()
     labels = texts(figure)
     for label in ("(m)", "(rad/s)", "(m/s)", "time (s)", f"({unit_of(order)})"):
@@ -217,10 +244,21 @@ def test_histories_show_the_limits_and_the_tube() -> None:
     assert any(np.allclose(y, tightened) for y in speed)
 
 
-def test_histories_need_times() -> None:
+def test_the_planned_input_is_the_feedforward_and_lies_below_its_bound() -> None:
+    """The drag of the reference is part of u*; the highest derivative alone is not."""
     scenario, plan = planned(2, 3)
-    with pytest.raises(ValueError, match="time: missing"):
-        plot_histories(scenario=scenario, plan=plan, control=np.zeros((5, 3)))
+    model = DragDoubleIntegrator(drag_estimate=0.2, drag_error_bound=0.05)
+    scenario = dataclasses.replace(scenario, model=model)
+    panel = plot_histories(scenario=scenario, plan=plan).axes[0]
+    assert panel.get_ylabel().startswith("input norm")
+    limit, bound, drawn = (np.asarray(line.get_ydata(), float) for line in panel.lines)
+    reference = plan.reference(plan.sample_times(0.025))
+    velocity = reference[:, 1]
+    drag = 0.2 * np.linalg.norm(velocity, axis=1, keepdims=True) * velocity
+    planned_input = np.linalg.norm(reference[:, 2] + drag, axis=1)
+    np.testing.assert_allclose(drawn, planned_input)
+    assert np.abs(drawn - np.linalg.norm(reference[:, 2], axis=1)).max() > 0.1
+    assert (drawn < bound).all() and (limit == 12.0).all()
 
 
 # The replay.
@@ -240,12 +278,10 @@ def test_replay_is_one_self_contained_file(
     time, state = flown(plan)
     path = tmp_path / "replay.html"
     write_replay(
+        path,
         scenario=scenario,
         plan=plan,
-        time=time,
-        position=state[:, 0],
-        path=path,
-        status="certified & <flown>",
+        flight=ShownFlight(time, state[:, 0], status="certified & <flown>"),
     )
     assert [p.name for p in tmp_path.iterdir()] == ["replay.html"]
     page = path.read_text(encoding="utf-8")
@@ -277,11 +313,10 @@ def test_replay_by_speed(tmp_path: Path) -> None:
     time, state = flown(plan)
     path = tmp_path / "replay.html"
     write_replay(
+        path,
         scenario=scenario,
         plan=plan,
-        time=time,
-        position=state[:, 0],
-        path=path,
+        flight=ShownFlight(time, state[:, 0]),
         color_by="speed",
     )
     assert "Tube colour: speed, m/s" in path.read_text(encoding="utf-8")
@@ -291,11 +326,10 @@ def test_replay_refuses_arrays_that_do_not_fit(tmp_path: Path) -> None:
     scenario, plan = planned(2, 3)
     with pytest.raises(ValueError, match="position: got shape"):
         write_replay(
+            tmp_path / "replay.html",
             scenario=scenario,
             plan=plan,
-            time=np.arange(4.0),
-            position=np.zeros((4, 2)),
-            path=tmp_path / "replay.html",
+            flight=ShownFlight(np.arange(4.0), np.zeros((4, 2))),
         )
     assert not list(tmp_path.iterdir())
 

@@ -17,7 +17,7 @@ from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.systems.plan_port import DeclarePlanInputPort, EvalPlan
 from dtmpc_drake.systems.wiring import AddConnected
 from dtmpc_drake.visualization.geometry import embedding
-from dtmpc_drake.visualization.replay import ROOT, add_scene, add_tube
+from dtmpc_drake.visualization.scene import ROOT, add_scene, add_tube
 
 
 class LiveView(LeafSystem):

@@ -37,7 +37,7 @@ from dtmpc_drake.scenario import (
     require_stable_simulation,
     require_trials,
 )
-from dtmpc_drake.visualization.figures import Panel, plot_plans
+from dtmpc_drake.visualization import Panel, plot_plans
 
 _OF_A_PLAN = (
     "cost",

@@ -24,7 +24,12 @@ from dtmpc_drake.scenario import (
     require_stable_simulation,
     require_trials,
 )
-from dtmpc_drake.visualization import plot_plan, plot_quantiles, write_replay
+from dtmpc_drake.visualization import (
+    ShownFlight,
+    plot_plan,
+    plot_quantiles,
+    write_replay,
+)
 
 OWN = "all", "scenario"
 """Of `choose_disturbances`: all kinds, and the disturbance of the scenario."""
@@ -311,13 +316,17 @@ def draw(
         ratios={labels[name]: f.position_ratio for name, f in flights.items()},
     ).savefig(out / "quantiles.png")
     hardest = max(flights.values(), key=lambda f: float(f.worst_ratios[f.hardest, 1]))
-    write_replay(
-        scenario=scenario,
-        plan=plan,
+    count = sum(map(len, flights.values()))
+    shown = ShownFlight(
         time=first.time,
         position=hardest.position[hardest.hardest],
-        path=out / "replay.html",
-        color_by=color_by,
-        status=f"{sum(map(len, flights.values()))} flights; the worst is drawn large",
+        status=f"{count} flights; the worst is drawn large",
         clouds=clouds,
+    )
+    write_replay(
+        out / "replay.html",
+        scenario=scenario,
+        plan=plan,
+        flight=shown,
+        color_by=color_by,
     )

@@ -21,6 +21,7 @@ from dtmpc_drake.records.result import Iteration, PlanningResult
 from dtmpc_drake.records.verdict import Breach, in_one_line
 from dtmpc_drake.scenario import Scenario, require_stable_simulation
 from dtmpc_drake.visualization import (
+    ShownFlight,
     plot_candidates,
     plot_histories,
     plot_plan,
@@ -129,7 +130,7 @@ def run(
     sides, and `REPLANS` if there may be more plans on the way; ``plan.npz`` is then
     what was in force at each time.  Any other gives ``summary.json`` and a figure of
     the attempt.  All take their places at the end, and outputs of an earlier run
-    that these do not replace are set aside; see `experiments.outputs.replacing`.
+    that these do not replace are set aside; see `outputs.replacing`.
 
     Args:
         scenario: the whole experiment.
@@ -165,25 +166,17 @@ def _run(
         log = Simulate(scenario, plan=given, progress=progress)
         flown = log.flown_plan() or result.plan
         files += [out / name for name in OUTPUTS]
+        status = counted(log.replans) if log.replans else result.status
         write_replay(
+            files[0],
             scenario=scenario,
             plan=flown,
-            time=log.time,
-            position=log.position,
-            path=files[0],
+            flight=ShownFlight.of(log, status),
             color_by=color_by,
-            status=counted(log.replans) if log.replans else result.status,
-            replans=log.replans,
-            known_since=log.known_since,
         )
         if log.replans and scenario.model.num_outputs > 1:
             figure = plot_receding_horizon(
-                scenario=scenario,
-                replans=log.replans,
-                time=log.time,
-                position=log.position,
-                known_since=log.known_since,
-                color_by=color_by,
+                scenario=scenario, flight=log, color_by=color_by
             )
         else:
             figure = plot_plan(
@@ -196,16 +189,10 @@ def _run(
         figure.savefig(files[1])
         if log.replans:
             files.insert(2, out / REPLANS)
-            plot_replans(
-                scenario=scenario, replans=log.replans, known_since=log.known_since
-            ).savefig(files[2])
-        plot_histories(
-            scenario=scenario,
-            plan=flown,
-            time=log.time,
-            state=log.state,
-            control=log.control,
-        ).savefig(out / "histories.png")
+            plot_replans(scenario=scenario, flight=log).savefig(files[2])
+        plot_histories(scenario=scenario, plan=flown, flight=log).savefig(
+            out / "histories.png"
+        )
         flown.save(out / "plan.npz")
         log.save(out / "log.npz")
     else:

@@ -27,6 +27,7 @@ BLACK = "#1A1A1A"
 GREY = "#9A9A9A"
 EDGE = "#555555"
 LIGHT_GREY = "#D9D9D9"
+GHOST = "#7FA8C9"  # of obstacles that are not known yet
 
 # Clouds of flights: the last one is drawn on top, in the blue of a single one.
 _CLOUDS = (SKY_BLUE, PURPLE, ORANGE, GREEN, BLUE)

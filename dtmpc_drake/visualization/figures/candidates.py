@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 from matplotlib import colormaps
@@ -13,21 +12,18 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from dtmpc_drake.numerics.arrays import FloatArray
+from dtmpc_drake.records.candidate import Candidate
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import Scenario
-from dtmpc_drake.visualization.figures import View
+from dtmpc_drake.visualization.figures.view import WIDTH, View
 from dtmpc_drake.visualization.style import (
     BLACK,
     EDGE,
     GREY,
     LIGHT_GREY,
     PALE_BLUE,
-    Coloring,
-    drawn_period,
 )
 
-_WIDTH = 10.0  # of the figure, in inches
 _MOST = 32  # candidates that have a bar
 _LABELLED = 12  # more obstacles than this have no letters below the bars
 _COSTS = LinearSegmentedColormap.from_list(
@@ -35,40 +31,8 @@ _COSTS = LinearSegmentedColormap.from_list(
 )
 
 
-class Tried(Protocol):
-    """What a figure needs to know of a candidate; see `planning.best_side`."""
-
-    @property
-    def start(self) -> str:
-        """What it started from."""
-
-    @property
-    def sides(self) -> str:
-        """One letter per obstacle."""
-
-    @property
-    def status(self) -> str:
-        """What became of it."""
-
-    @property
-    def cost(self) -> float | None:
-        """Of its plan."""
-
-    @property
-    def coarse_cost(self) -> float | None:
-        """Of its coarse solution."""
-
-    @property
-    def chosen(self) -> bool:
-        """Whether it is the result."""
-
-    @property
-    def path(self) -> FloatArray:
-        """Its positions, ``(K, m)``."""
-
-
 def plot_candidates(
-    *, scenario: Scenario, plan: Plan, candidates: Sequence[Tried]
+    *, scenario: Scenario, plan: Plan, candidates: Sequence[Candidate]
 ) -> Figure:
     """The chosen plan with its tube, and the alternatives faintly with their costs.
 
@@ -90,21 +54,19 @@ def plot_candidates(
     """
     if plan.num_outputs < 2:
         raise ValueError("plan: one output only, so there are no sides to draw")
-    samples = plan.sample(drawn_period(plan, 0.005))
-    coloring = Coloring.along(plan, samples["time"], "bandwidth")
-    view = View.from_above(scenario, samples, coloring)
+    view = View.of(scenario, plan, "bandwidth", period=0.005)
     good = sorted((c for c in candidates if _keeps(c)), key=_cost)
     costs = np.array([_cost(c) for c in good] or [1.0])
     colors = Normalize(np.log(costs.min()), np.log(1.05 * costs.max()))
     low, high = view.window()
-    lines = [c.path[:, list(view.order)] for c in candidates]
+    lines = [view.seen(c.path) for c in candidates]
     low = np.min([low, *(line.min(axis=0) - 0.2 for line in lines)], axis=0)
     high = np.max([high, *(line.max(axis=0) + 0.2 for line in lines)], axis=0)
     width, height = high - low
-    rise = float(np.clip(0.9 * _WIDTH * height / width, 1.0, 6.0))
-    figure = Figure(figsize=(_WIDTH, rise + 3.3), dpi=150, layout="constrained")
+    rise = float(np.clip(0.9 * WIDTH * height / width, 1.0, 6.0))
+    figure = Figure(figsize=(WIDTH, rise + 3.3), dpi=150, layout="constrained")
     field, bars = figure.subplots(2, 1, height_ratios=[rise, 2.0])
-    view.draw(field, low, high, 2.6, colored=False)
+    view.draw(field, (low, high), colored=False)
     for candidate, line in zip(candidates, lines, strict=True):
         if candidate.chosen:
             continue
@@ -114,7 +76,7 @@ def plot_candidates(
         else:
             field.plot(*line.T, color=GREY, lw=0.8, ls=":", zorder=3.4)
     for number, (_, silhouette) in enumerate(view.obstacles):
-        middle = silhouette.outline()[:, list(view.order)].mean(axis=0)
+        middle = view.seen(silhouette.outline()).mean(axis=0)
         if (middle > low).all() and (middle < high).all():
             field.annotate(f"{number}", middle, ha="center", va="center", color="white")
     _draw_bars(bars, good[:_MOST], colors)
@@ -136,7 +98,7 @@ def plot_candidates(
     return figure
 
 
-def _draw_bars(axes: Axes, candidates: Sequence[Tried], colors: Normalize) -> None:
+def _draw_bars(axes: Axes, candidates: Sequence[Candidate], colors: Normalize) -> None:
     for k, candidate in enumerate(candidates):
         cost = _cost(candidate)
         planned = candidate.status == "certified"
@@ -177,17 +139,17 @@ def _draw_bars(axes: Axes, candidates: Sequence[Tried], colors: Normalize) -> No
         axes.spines[side].set_visible(False)
 
 
-def _label(candidate: Tried) -> str:
+def _label(candidate: Candidate) -> str:
     sides = candidate.sides if 0 < len(candidate.sides) <= _LABELLED else ""
     special = " " in candidate.start  # the straight line, or an earlier plan
     return f"{sides}\n{candidate.start}".strip() if special else sides
 
 
-def _keeps(candidate: Tried) -> bool:
+def _keeps(candidate: Candidate) -> bool:
     """Whether its solution keeps the constraints, nearly at least."""
     return candidate.status in ("certified", "not_certified", "not tried", "same")
 
 
-def _cost(candidate: Tried) -> float:
+def _cost(candidate: Candidate) -> float:
     cost = candidate.coarse_cost if candidate.cost is None else candidate.cost
     return max(cost or 0.0, 1e-9)

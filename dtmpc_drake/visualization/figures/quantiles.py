@@ -1,4 +1,4 @@
-"""How much of the tube many flights of one plan use."""
+"""The figure of how much of the tube many flights of one plan use."""
 
 from __future__ import annotations
 

@@ -1,0 +1,208 @@
+"""The figure of one plan: from above or, of a single output, over time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import ConnectionPatch, Rectangle
+
+from dtmpc_drake.numerics.arrays import FloatArray
+from dtmpc_drake.records.plan import Plan
+from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.visualization.figures.cloud import Cloud
+from dtmpc_drake.visualization.figures.view import (
+    PERIOD,
+    WIDTH,
+    View,
+    add_color_bar,
+    add_legend,
+    colored_line,
+)
+from dtmpc_drake.visualization.geometry import obstacle_intervals
+from dtmpc_drake.visualization.style import (
+    BLACK,
+    EDGE,
+    GREY,
+    PALE_BLUE,
+    ColorBy,
+    Coloring,
+    drawn_period,
+)
+
+_INSET_RATIO = 0.42  # height by width
+
+
+def plot_plan(
+    *,
+    scenario: Scenario,
+    plan: Plan,
+    position: FloatArray | Mapping[str, FloatArray] | None = None,
+    time: FloatArray | None = None,
+    color_by: ColorBy = "bandwidth",
+) -> Figure:
+    """The plan from above: coloured reference, black tube, grey obstacles.
+
+    The tube is the exact outline of the box ±Ω that is swept along the
+    reference.  Two insets show the narrowest passage and the place where the
+    tube comes closest to an obstacle elsewhere.  Each obstacle is filled where
+    the tube could meet it at its own altitude; where it is wider above or below,
+    that part is a dashed outline.  A single output is drawn over time instead.
+
+    Args:
+        scenario: gives the obstacles.
+        plan: a plan, or an infeasible attempt.
+        position: of the vehicle, ``(K, m)`` or, for several flights,
+            ``(flights, K, m)``, in m; or several such clouds by name, of which
+            the last is drawn on top.
+        time: of the flights, ``(K,)``, in s; uniform over the plan if left out.
+            Only a single output needs it.
+        color_by: ``bandwidth`` or ``speed``.
+
+    Returns:
+        A figure, to be saved with ``savefig``.
+    """
+    clouds = Cloud.of(position)
+    if plan.num_outputs == 1:
+        return _plot_over_time(scenario, plan, clouds, time, color_by)
+    return _plot_from_above(scenario, plan, clouds, color_by)
+
+
+def _plot_from_above(
+    scenario: Scenario, plan: Plan, clouds: list[Cloud], color_by: ColorBy
+) -> Figure:
+    view = View.of(scenario, plan, color_by, clouds=clouds)
+    low, high = view.window()
+    width, height = high - low
+    # Insets pay where the tube is thin beside the whole picture.
+    span = 0.15 * width * np.array([1.0, _INSET_RATIO])
+    spots = []
+    if scenario.obstacles and 4.0 * np.median(view.half[:, 1]) < span[1]:
+        spots = _tight_spots(scenario, view, span[0] / 2)
+
+    # Rows as tall as what they show at equal scales, labels apart.
+    rise = float(np.clip(0.835 * WIDTH * height / width, 1.0, 6.0))
+    below = 0.38 * WIDTH * _INSET_RATIO if spots else 0.0
+    extra = 0.9 + (0.85 if spots else 0.0)
+    figure = Figure(figsize=(WIDTH, rise + below + extra), dpi=150)
+    figure.set_layout_engine("constrained")
+    grid = figure.add_gridspec(
+        2 if spots else 1,
+        4,
+        height_ratios=[rise, below] if spots else [rise],
+    )
+    main = figure.add_subplot(grid[0, :])
+    view.draw(main, (low, high))
+    panels = [main]
+    for i, (title, k, clearance) in enumerate(spots):
+        column = 2 * i if len(spots) > 1 else 1
+        panel = figure.add_subplot(grid[1, column : column + 2])
+        corner = view.center[k] - span / 2
+        view.draw(panel, (corner, corner + span), line_width=3.8)
+        panel.set_title(
+            f"{title}: tube {abs(clearance):.3f} m "
+            + ("from an obstacle" if clearance >= 0 else "inside an obstacle"),
+            fontsize=9,
+        )
+        _connect(figure, main, panel)
+        panels.append(panel)
+    add_color_bar(figure, panels, view.coloring)
+    add_legend(figure, scenario, view.coloring, clouds)
+    return figure
+
+
+def _connect(figure: Figure, main: Axes, panel: Axes) -> None:
+    """Frames a panel's window in the main axes and leads down to the panel."""
+    (left, right), (bottom, top) = panel.get_xlim(), panel.get_ylim()
+    style: dict[str, Any] = {"ec": BLACK, "lw": 0.7, "alpha": 0.6}
+    main.add_patch(
+        Rectangle(
+            (left, bottom), right - left, top - bottom, fill=False, zorder=6, **style
+        )
+    )
+    for x, side in ((left, 0.0), (right, 1.0)):
+        leader = ConnectionPatch(
+            (x, bottom), (side, 1.0), main.transData, panel.transAxes, **style
+        )
+        leader.set_in_layout(False)
+        figure.add_artist(leader)
+
+
+def _tight_spots(
+    scenario: Scenario, view: View, reach: float
+) -> list[tuple[str, int, float]]:
+    """Where to look closer.
+
+    Args:
+        scenario: gives the obstacles, at least one.
+        view: of the plan.
+        reach: how far a look goes, in m.
+
+    Returns:
+        Title, sample, and the smallest clearance of the drawn tube in reach.
+    """
+    obstacles = scenario.obstacle_set()
+    position, tube = view.samples["position"], view.samples["position_tube"]
+    clearance = obstacles.clearance(position, tube, "support").min(axis=1)
+    samples = []
+    titles = ["narrowest passage", "closest elsewhere"]
+    if len(obstacles) > 1:
+        distance = np.sort(obstacles.clearance(position), axis=1)
+        samples.append(int(distance[:, :2].sum(axis=1).argmin()))
+    else:
+        titles = ["closest"]
+    away = np.ones(len(position), dtype=bool)
+    for k in samples:
+        away &= np.linalg.norm(position - position[k], axis=1) > 2 * reach
+    if away.any():
+        # Of several equally close places, the one in the middle.
+        near = np.flatnonzero(away & (clearance < clearance[away].min() + 0.01))
+        samples.append(int(near[len(near) // 2]))
+    spots = []
+    for title, k in zip(titles, samples, strict=False):
+        seen = np.linalg.norm(position - position[k], axis=1) <= reach
+        spots.append((title, k, float(clearance[seen].min())))
+    return spots
+
+
+def _plot_over_time(
+    scenario: Scenario,
+    plan: Plan,
+    clouds: list[Cloud],
+    time: FloatArray | None,
+    color_by: ColorBy,
+) -> Figure:
+    samples = plan.sample(drawn_period(plan, PERIOD))
+    now, center = samples["time"], samples["position"][:, 0]
+    half = samples["position_tube"][:, 0]
+    coloring = Coloring.along(plan, now, color_by)
+    figure = Figure(figsize=(7.0, 3.6), dpi=150, layout="constrained")
+    axes = figure.add_subplot()
+    axes.fill_between(now, center - half, center + half, fc=PALE_BLUE, ec="none")
+    for edge in (center - half, center + half):
+        axes.plot(now, edge, color=BLACK, lw=1.0)
+    for cloud in clouds:
+        paths = cloud.paths[..., 0]
+        when = time
+        if when is None:
+            when = np.linspace(plan.start_time, plan.end_time, paths.shape[1])
+        seen = np.stack([np.broadcast_to(when, paths.shape), paths], axis=-1)
+        cloud.draw(axes, seen, 5.0)
+    many = any(len(cloud.paths) > 1 for cloud in clouds)
+    line = np.stack([now, center], axis=1)
+    colored_line(axes, line, coloring, 0.8 if many else 3.0)
+    axes.margins(x=0.02)
+    bottom, top = axes.get_ylim()
+    for low, high in obstacle_intervals(scenario.obstacle_set()):
+        axes.axhspan(low, high, fc=GREY, ec=EDGE, lw=0.8, zorder=1)
+        if low < 2 * top - bottom and high > 2 * bottom - top:
+            bottom, top = min(bottom, low), max(top, high)
+    axes.set_ylim(bottom, top)
+    axes.set_xlabel("time (s)")
+    axes.set_ylabel("position y (m)")
+    add_color_bar(figure, [axes], coloring)
+    add_legend(figure, scenario, coloring, clouds)
+    return figure

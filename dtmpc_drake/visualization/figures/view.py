@@ -1,0 +1,223 @@
+"""A plan from above: what several figures draw, and how."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, PathPatch, Polygon
+from matplotlib.path import Path
+
+from dtmpc_drake.numerics.arrays import FloatArray
+from dtmpc_drake.records.plan import Plan
+from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.visualization.figures.cloud import Cloud
+from dtmpc_drake.visualization.geometry import Ellipse, obstacle_sections, swept_boxes
+from dtmpc_drake.visualization.style import (
+    BLACK,
+    EDGE,
+    GREY,
+    PALE_BLUE,
+    ColorBy,
+    Coloring,
+    axis_name,
+    drawn_period,
+)
+
+PERIOD = 0.025
+"""Between two samples of a drawn plan, in s."""
+WIDTH = 10.0
+"""Of a figure, in inches."""
+
+Window = tuple[FloatArray, FloatArray]
+"""Two corners of what is seen, ``(2,)`` each, in m."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class View:
+    """What a look from above shows, in any window.
+
+    Attributes:
+        samples: of the plan, as from `Plan.sample`.
+        order: the outputs along the horizontal and the vertical axis: the longer of
+            the first two goes to the right.
+        coloring: of the samples.
+        obstacles: sections (None if passed above or below) and silhouettes.
+        clouds: flights, in the vehicle's own order of axes.
+    """
+
+    samples: dict[str, FloatArray]
+    order: tuple[int, int]
+    coloring: Coloring
+    obstacles: list[tuple[Ellipse | None, Ellipse]]
+    clouds: Sequence[Cloud] = ()
+
+    @classmethod
+    def of(
+        cls,
+        scenario: Scenario,
+        plan: Plan,
+        color_by: ColorBy,
+        *,
+        among: Sequence[Plan] = (),
+        clouds: Sequence[Cloud] = (),
+        period: float = PERIOD,
+    ) -> View:
+        """A look at a plan with two outputs or more.
+
+        Args:
+            scenario: gives the obstacles.
+            plan: a plan, or an infeasible attempt.
+            color_by: ``bandwidth`` or ``speed``.
+            among: plans that share their colours.
+            clouds: flights to draw with it.
+            period: between two samples, in s, at least.
+        """
+        samples = plan.sample(drawn_period(plan, period))
+        position, tube = samples["position"], samples["position_tube"]
+        along_y = np.ptp(position[:, 1]) >= np.ptp(position[:, 0])
+        return cls(
+            samples=samples,
+            order=(1, 0) if along_y else (0, 1),
+            coloring=Coloring.along(plan, samples["time"], color_by, among),
+            obstacles=obstacle_sections(scenario.obstacle_set(), position, tube),
+            clouds=clouds,
+        )
+
+    @property
+    def center(self) -> FloatArray:
+        """y* as it is seen, ``(K, 2)``."""
+        return self.seen(self.samples["position"])
+
+    @property
+    def half(self) -> FloatArray:
+        """Ω as it is seen, ``(K, 2)``."""
+        return self.seen(self.samples["position_tube"])
+
+    def seen(self, points: FloatArray) -> FloatArray:
+        """The coordinates of points that are seen, ``(..., m)`` to ``(..., 2)``."""
+        return points[..., list(self.order)]
+
+    def window(self) -> Window:
+        """Corners that hold the tube and the obstacles beside it."""
+        low, high = self.center - self.half, self.center + self.half
+        low, high = low.min(axis=0), high.max(axis=0)
+        reach = 0.12 * float((high - low).max())
+        lows, highs = [low], [high]
+        for _, silhouette in self.obstacles:
+            outline = self.seen(silhouette.outline())
+            a, b = outline.min(axis=0), outline.max(axis=0)
+            if (a < high + reach).all() and (b > low - reach).all():
+                lows.append(np.maximum(a, low - reach))
+                highs.append(np.minimum(b, high + reach))
+        low, high = np.min(lows, axis=0), np.max(highs, axis=0)
+        margin = 0.012 * float((high - low).max())
+        return low - margin, high + margin
+
+    def draw(
+        self,
+        axes: Axes,
+        window: Window,
+        *,
+        line_width: float = 2.6,
+        colored: bool = True,
+    ) -> None:
+        """Draws the part in a window; the reference in colours or black."""
+        for section, silhouette in self.obstacles:
+            outline = self.seen(silhouette.outline())
+            filled = outline if section is None else self.seen(section.outline())
+            if section is None or not np.allclose(filled, outline, atol=1e-3):
+                axes.add_patch(
+                    Polygon(outline, fill=False, ec=GREY, lw=0.8, ls="--", zorder=3)
+                )
+            if section is not None:
+                axes.add_patch(Polygon(filled, fc=GREY, ec="none", zorder=1))
+                # Above the tube, so that an attempt shows what it cuts into.
+                axes.add_patch(Polygon(filled, fill=False, ec=EDGE, lw=0.8, zorder=3))
+        # Stroke all boxes, then fill them: what stays black is the outline.
+        boxes = swept_boxes(self.center - self.half, self.center + self.half)
+        tube = Path.make_compound_path_from_polys(boxes)
+        axes.add_patch(
+            PathPatch(tube, fc="none", ec=BLACK, lw=2.0, joinstyle="round", zorder=2)
+        )
+        axes.add_patch(PathPatch(tube, fc=PALE_BLUE, ec="none", zorder=2.1))
+        for cloud in self.clouds:
+            cloud.draw(axes, self.seen(cloud.paths), line_width)
+        many = any(len(cloud.paths) > 1 for cloud in self.clouds)
+        width = 0.2 * line_width if many else line_width
+        if colored:
+            colored_line(axes, self.center, self.coloring, width)
+        else:
+            axes.plot(*self.center.T, color=BLACK, lw=width, zorder=4)
+        low, high = window
+        axes.set_xlim(low[0], high[0])
+        axes.set_ylim(low[1], high[1])
+        axes.set_aspect("equal")
+        if self.order == (1, 0):
+            axes.invert_yaxis()  # with y to the right, x points down
+        names = [axis_name(i, max(self.order) + 1) for i in self.order]
+        axes.set_xlabel(f"{names[0]} (m)")
+        axes.set_ylabel(f"{names[1]} (m)")
+
+
+def joint_window(views: Iterable[View]) -> Window:
+    """Corners that hold what each of several views shows."""
+    lows, highs = zip(*(view.window() for view in views), strict=True)
+    return np.min(lows, axis=0), np.max(highs, axis=0)
+
+
+def colored_line(
+    axes: Axes, points: FloatArray, coloring: Coloring, width: float
+) -> None:
+    """The reference; a dark edge keeps its light end visible."""
+    edge = min(0.8, width)
+    axes.plot(*points.T, color=EDGE, lw=width + edge, zorder=4, solid_capstyle="round")
+    line = LineCollection(
+        np.stack([points[:-1], points[1:]], axis=1),
+        cmap=coloring.colormap,
+        norm=Normalize(coloring.low, coloring.high),
+        lw=width,
+        capstyle="round",
+        zorder=4.1,
+    )
+    line.set_array((coloring.values[:-1] + coloring.values[1:]) / 2)
+    axes.add_collection(line, autolim=False)
+
+
+def add_color_bar(figure: Figure, axes: Sequence[Axes], coloring: Coloring) -> None:
+    """What the colours mean, beside all of these axes."""
+    mappable = ScalarMappable(Normalize(coloring.low, coloring.high), coloring.colormap)
+    bar = figure.colorbar(mappable, ax=list(axes), pad=0.015, fraction=0.03, aspect=28)
+    bar.set_label(f"{coloring.label} ({coloring.unit})", fontsize=9)
+
+
+def add_legend(
+    figure: Figure, scenario: Scenario, coloring: Coloring, clouds: Sequence[Cloud] = ()
+) -> None:
+    """What a plan, its tube, flights and obstacles look like, above the figure."""
+    handles: list[Artist] = [
+        Line2D([], [], color=coloring.colormap(0.55), lw=3.8, label="reference"),
+        Patch(fc=PALE_BLUE, ec=BLACK, label="tube"),
+    ]
+    handles += [cloud.handle() for cloud in clouds]
+    if scenario.obstacles:
+        handles.append(Patch(fc=GREY, ec=EDGE, label="obstacle"))
+    # As many in a row as the figure is wide; several rows are alike.
+    rows = math.ceil(len(handles) / int(0.7 * figure.get_figwidth()))
+    figure.legend(
+        handles=handles,
+        loc="outside upper center",
+        ncols=math.ceil(len(handles) / rows),
+        frameon=False,
+        columnspacing=1.4 if len(handles) > 5 else 2.0,
+        handlelength=1.4 if len(handles) > 5 else 2.0,
+    )

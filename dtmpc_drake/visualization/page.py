@@ -1,0 +1,111 @@
+"""The page around the scene: legend, time line and read-outs, as HTML."""
+
+from __future__ import annotations
+
+import html
+import json
+from importlib import resources
+from string import Template
+
+import numpy as np
+from matplotlib.colors import to_hex
+
+from dtmpc_drake.records.plan import Plan
+from dtmpc_drake.records.replan import plans_in_force
+from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.visualization.scene import (
+    field_corners,
+    grid_spacing,
+    vehicle_radius,
+)
+from dtmpc_drake.visualization.shown import ShownFlight
+from dtmpc_drake.visualization.style import (
+    BLACK,
+    BLUE,
+    GHOST,
+    GREEN,
+    GREY,
+    VERMILION,
+    ColorBy,
+    Coloring,
+    cloud_colors,
+)
+
+
+def with_overlay(page: str, *, title: str, overlay: str) -> str:
+    """Meshcat's own page, with a title and with more before its end."""
+    head, end, tail = page.rpartition("</body>")
+    old, new = "Drake MeshCat", html.escape(title)
+    head = head.replace(f"<title>{old}</title>", f"<title>{new}</title>")
+    return head + overlay + end + tail
+
+
+def legend_html(
+    *,
+    scenario: Scenario,
+    plan: Plan,
+    flight: ShownFlight,
+    color_by: ColorBy = "bandwidth",
+) -> str:
+    """What Meshcat cannot draw: legend, time line, read-outs, chase view.
+
+    Args:
+        scenario: gives the obstacles and the name.
+        plan: in force at each time.
+        flight: of the plan.
+        color_by: what the colours mean.
+
+    Returns:
+        HTML to put before a page's ``</body>``.  It degrades to the legend
+        alone where the viewer is not the one that it knows.
+    """
+    time, position = flight.time, flight.position
+    shown = plans_in_force(flight.replans)
+    coloring = Coloring.along(plan, time, color_by, [s.plan for s in shown])
+    share = np.linspace(0.0, 1.0, 9)
+    colors = coloring.rgb(coloring.low + share * (coloring.high - coloring.low))
+    ticks = coloring.low + np.array([0.0, 0.5, 1.0]) * (coloring.high - coloring.low)
+    error = np.abs(position - plan.reference(time)[:, 0])
+    ratio = error / np.maximum(plan.position_tube(time), 1e-6)
+    low, high = field_corners(scenario, plan)
+    every = np.unique(np.linspace(0, len(time) - 1, 300).astype(int))
+    data = {
+        "time": (time[every] - time[0]).round(3).tolist(),
+        "value": coloring.values[every].round(3).tolist(),
+        "ratio": ratio.max(axis=1)[every].round(3).tolist(),
+        "end": round(float(time[-1] - time[0]), 3),
+        "start": round(float(time[0]), 3),
+        "width": round(2 * vehicle_radius(scenario, plan), 3),
+        "unit": coloring.unit,
+        "quantity": color_by,
+        "news": [
+            [round(s.start - float(time[0]), 3), s.replan.headline()] for s in shown
+        ],
+    }
+    template = resources.files("dtmpc_drake.visualization") / "overlay.html"
+    fields = {
+        "name": html.escape(scenario.name.replace("_", " ")),
+        "status": html.escape(flight.status),
+        "label": html.escape(f"{coloring.label}, {coloring.unit}"),
+        "gradient": ", ".join(to_hex(c) for c in colors),
+        "low": f"{ticks[0]:.2f}",
+        "middle": f"{ticks[1]:.2f}",
+        "high": f"{ticks[2]:.2f}",
+        "vehicle_color": VERMILION,
+        "clouds": "".join(
+            f'<li><i style="color: {color}"></i>{html.escape(name)}</li>'
+            for name, color in cloud_colors(flight.clouds).items()
+        ),
+        "reference_color": BLACK,
+        "box_color": BLUE,
+        "obstacle_color": GREY,
+        "goal_color": GREEN,
+        "grid": f"{grid_spacing(high - low):g}",
+        "obstacles_shown": "" if scenario.obstacles else "hidden",
+        "ghosts_shown": "" if flight.found else "hidden",
+        "ghost_color": GHOST,
+        "cut": "(pillars cut at flight altitude)" if plan.num_outputs >= 3 else "",
+        # So that no text can end the script element.
+        "data": json.dumps(data).replace("<", "\\u003c"),
+    }
+    return Template(template.read_text(encoding="utf-8")).substitute(fields)

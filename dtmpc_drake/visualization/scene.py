@@ -1,0 +1,354 @@
+"""The scene in Meshcat: field, obstacles, tube, vehicle and camera.
+
+It is made of pieces that `add_scene` puts into any Meshcat, a live notebook's too.
+Nothing here moves; see `replay`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Container, Sequence
+
+import numpy as np
+from matplotlib.colors import to_rgb
+from pydrake.geometry import Box, Cylinder, Ellipsoid, Meshcat, Rgba, Sphere
+from pydrake.math import RigidTransform, RotationMatrix
+
+from dtmpc_drake.numerics.arrays import FloatArray
+from dtmpc_drake.records.plan import Plan
+from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.visualization.geometry import (
+    embedding,
+    missing_axes,
+    obstacle_solids,
+    swept_mesh,
+    travel_frames,
+    tube_rings,
+)
+from dtmpc_drake.visualization.style import (
+    BLACK,
+    GHOST,
+    GREEN,
+    GREY,
+    VERMILION,
+    ColorBy,
+    Coloring,
+    drawn_period,
+)
+
+ROOT = "/dtmpc"
+"""Everything drawn here is below this path."""
+FLAT = 0.04
+"""Half-thickness along axes that the vehicle does not have, in m."""
+
+_TUBE_PERIOD = 0.05  # between two rings of the tube, in s
+_FIELD_OF_VIEW = 36.0  # vertical, in degrees
+
+
+@dataclasses.dataclass(frozen=True)
+class Look:
+    """What a group of obstacles looks like.
+
+    Attributes:
+        group: their name below `ROOT`.
+        color: of all of them.
+        opacity: of all of them.
+    """
+
+    group: str
+    color: str
+    opacity: float
+
+
+KNOWN = Look("obstacles", GREY, 0.6)
+UNKNOWN = Look("ghosts", GHOST, 0.22)
+
+
+def add_scene(
+    meshcat: Meshcat,
+    *,
+    scenario: Scenario,
+    plan: Plan,
+    color_by: ColorBy = "bandwidth",
+) -> None:
+    """Draws everything that does not move, and the vehicle at the start."""
+    meshcat.Delete(ROOT)
+    low, high = field_corners(scenario, plan)
+    add_field(meshcat, scenario=scenario, low=low, high=high)
+    add_obstacles(meshcat, scenario=scenario, low=low, high=high)
+    add_tube(meshcat, plan=plan, color_by=color_by)
+    add_vehicle(
+        meshcat, num_outputs=plan.num_outputs, radius=vehicle_radius(scenario, plan)
+    )
+    E = embedding(plan.num_outputs)
+    start = RigidTransform(E @ plan.reference(plan.start_time)[0])
+    meshcat.SetTransform(f"{ROOT}/vehicle", start)
+    set_camera(meshcat, low=low, high=high)
+
+
+def field_corners(scenario: Scenario, plan: Plan) -> tuple[FloatArray, FloatArray]:
+    """Two corners of the picture's field, ``(3,)`` each, in m.
+
+    It holds the tube and the obstacles near it, with some air around.  Its floor
+    is the ground, z = 0, unless something flies below; its ceiling is just above
+    the highest reference, so that cylinders without an end do not hide what
+    flies between them.  A vehicle in the plane gets a little of both.
+    """
+    E = embedding(plan.num_outputs)
+    samples = plan.sample(drawn_period(plan, _TUBE_PERIOD))
+    center, half = samples["position"] @ E.T, samples["position_tube"] @ E.T
+    low, high = (center - half).min(axis=0), (center + half).max(axis=0)
+    reach = max(2.0, 0.1 * float((high - low).max()))
+    bounds = [(low, high)]
+    for solid in obstacle_solids(scenario.obstacle_set(), plan.num_outputs, low, high):
+        middle = solid.transform[:3, 3]
+        extent = np.linalg.norm(solid.transform[:3, :3], axis=1)
+        near = (middle - extent < high + reach) & (middle + extent > low - reach)
+        if near.all():
+            bounds.append((middle - extent, middle + extent))
+    low = np.min([np.maximum(b[0], low - reach) for b in bounds], axis=0)
+    high = np.max([np.minimum(b[1], high + reach) for b in bounds], axis=0)
+    air = np.array([0.5, 0.5, 0.0])
+    low, high = low - air, high + air
+    low[2], high[2] = min(low[2], 0.0), center[:, 2].max() + 0.05
+    if plan.num_outputs < 3:
+        low[2], high[2] = -3 * FLAT, 3 * FLAT
+    return low, high
+
+
+def add_field(
+    meshcat: Meshcat, *, scenario: Scenario, low: FloatArray, high: FloatArray
+) -> None:
+    """A light ground with a grid, start and goal, on a light background."""
+    meshcat.SetProperty("/Grid", "visible", False)
+    meshcat.SetProperty("/Axes", "visible", False)
+    background = "/Background/<object>"
+    meshcat.SetProperty(background, "top_color", [0.90, 0.93, 0.96])
+    meshcat.SetProperty(background, "bottom_color", [1.0, 1.0, 1.0])
+    # Meshcat's point lights reach a few metres only: use sun and sky instead.
+    for light in ("SpotLight", "PointLightNegativeX", "PointLightPositiveX"):
+        meshcat.SetProperty(f"/Lights/{light}", "visible", False)
+    meshcat.SetProperty("/Lights/AmbientLight/<object>", "intensity", 2.0)
+    meshcat.SetProperty("/Lights/FillLight/<object>", "intensity", 1.6)
+    meshcat.SetProperty("/Lights/FillLight/<object>", "position", [8.0, -6.0, 12.0])
+    low, high = np.floor(low), np.append(np.ceil(high[:2]), high[2])
+    size, middle = high - low, (low + high) / 2
+    meshcat.SetObject(
+        f"{ROOT}/field/ground", Box(size[0], size[1], 0.02), Rgba(1.0, 1.0, 0.99)
+    )
+    meshcat.SetTransform(
+        f"{ROOT}/field/ground", RigidTransform([middle[0], middle[1], low[2] - 0.03])
+    )
+    x, y = (np.arange(low[i], high[i] + 0.5, grid_spacing(size)) for i in (0, 1))
+    z = low[2] - 0.015
+    starts = [[v, low[1], z] for v in x] + [[low[0], v, z] for v in y]
+    ends = [[v, high[1], z] for v in x] + [[high[0], v, z] for v in y]
+    meshcat.SetLineSegments(
+        f"{ROOT}/field/grid",
+        np.array(starts).T,
+        np.array(ends).T,
+        1.0,
+        Rgba(0.82, 0.83, 0.84),
+    )
+    E = embedding(scenario.model.num_outputs)
+    for name, state in (
+        ("start", scenario.start_state()),
+        ("goal", scenario.goal_state()),
+    ):
+        where = E @ state[0]
+        where[2] = z
+        meshcat.SetObject(f"{ROOT}/field/{name}", Cylinder(0.3, 0.01), rgba(GREEN))
+        meshcat.SetTransform(f"{ROOT}/field/{name}", RigidTransform(where))
+
+
+def grid_spacing(size: FloatArray) -> float:
+    """Of the lines on the ground, in m: about thirty along the field."""
+    rough = float(size.max()) / 40.0
+    return max(1.0, float(10 ** np.ceil(np.log10(max(rough, 1e-9)))))
+
+
+def add_obstacles(
+    meshcat: Meshcat,
+    *,
+    scenario: Scenario,
+    low: FloatArray,
+    high: FloatArray,
+    look: Look = KNOWN,
+    chosen: Container[int] | None = None,
+) -> None:
+    """The scenario's obstacles; those without an end fill the field.
+
+    Args:
+        meshcat: to draw into.
+        scenario: gives the obstacles.
+        low: one corner of the field, ``(3,)``, as from `field_corners`.
+        high: the opposite corner.
+        look: of all of them.
+        chosen: the indices of those to draw; all of them if left out.
+    """
+    solids = obstacle_solids(
+        scenario.obstacle_set(), scenario.model.num_outputs, low, high
+    )
+    primitives = {1: Box(2.0, 2.0, 2.0), 2: Cylinder(1.0, 2.0), 3: Sphere(1.0)}
+    for i, solid in enumerate(solids):
+        if chosen is not None and i not in chosen:
+            continue
+        path = f"{ROOT}/{look.group}/{i}"
+        color = rgba(look.color, look.opacity)
+        meshcat.SetObject(path, primitives[solid.rank], color)
+        meshcat.SetTransform(path, solid.transform)
+
+
+def add_tube(
+    meshcat: Meshcat,
+    *,
+    plan: Plan,
+    color_by: ColorBy = "bandwidth",
+    name: str = "plan",
+    opacity: float = 0.75,
+    among: Sequence[Plan] = (),
+    capped: bool = True,
+) -> None:
+    """The reference as a line and the tube around it as a coloured surface.
+
+    The tube is the box ``|ỹ_i| <= Ω_i`` swept along the reference.  Across the
+    travel it is drawn as the rectangle that just holds the box, one side
+    horizontal: exactly the box's silhouette on level flight, and never smaller.
+    The half above the reference is faint, so that one looks into the tube.
+
+    Args:
+        meshcat: to draw into.
+        plan: to draw.
+        color_by: what the colours mean.
+        name: of the group.
+        opacity: of the lower half.
+        among: plans that share their colours.
+        capped: whether the tube's ends are closed.
+    """
+    time = plan.sample_times(drawn_period(plan, _TUBE_PERIOD))
+    reference = plan.reference(time) @ embedding(plan.num_outputs).T
+    half_axes = plan.position_tube(time) @ embedding(plan.num_outputs).T
+    half_axes = half_axes + FLAT * missing_axes(plan.num_outputs)
+    position, velocity = reference[:, 0], reference[:, 1]
+    coloring = Coloring.along(plan, time, color_by, among)
+    rings = tube_rings(position, velocity, half_axes)
+    middle = (rings + rings[:, [1, 0, 3, 2]]) / 2
+    upper = np.stack([middle[:, 0], rings[:, 0], rings[:, 3], middle[:, 3]], axis=1)
+    lower = np.stack([middle[:, 0], rings[:, 1], rings[:, 2], middle[:, 3]], axis=1)
+    for half, shell, alpha in (
+        ("lower", lower, opacity),
+        ("upper", upper, 0.25 * opacity),
+    ):
+        path = f"{ROOT}/{name}/tube/{half}"
+        vertices, faces = swept_mesh(shell, closed=False, capped=capped)
+        colors = _linear(coloring.rgb(coloring.values)).repeat(shell.shape[1], axis=0)
+        meshcat.SetTriangleColorMesh(path, vertices.T, faces.T, colors.T)
+        meshcat.SetProperty(path, "opacity", alpha)
+        # What is behind a translucent wall must not vanish.
+        meshcat.SetProperty(f"{path}/<object>", "material.depthWrite", False)
+    add_pipe(meshcat, f"{ROOT}/{name}/reference", position, BLACK, 0.011)
+
+
+def add_vehicle(
+    meshcat: Meshcat, *, num_outputs: int, radius: float, name: str = "vehicle"
+) -> None:
+    """A quadrotor (in three dimensions) or a puck; the model itself is a point.
+
+    Args:
+        meshcat: to draw into.
+        num_outputs: m.
+        radius: half the width of the picture of it, in m.
+        name: of the group, which `add_flight` moves.
+    """
+    path = f"{ROOT}/{name}"
+    dark, bright = rgba(BLACK), rgba(VERMILION)
+    if num_outputs < 3:
+        meshcat.SetObject(f"{path}/body", Cylinder(radius, 0.3 * radius), bright)
+        meshcat.SetTransform(
+            f"{path}/body", RigidTransform([0.0, 0.0, FLAT + 0.15 * radius])
+        )
+        return
+    meshcat.SetObject(
+        f"{path}/body", Ellipsoid(0.42 * radius, 0.3 * radius, 0.2 * radius), bright
+    )
+    meshcat.SetObject(f"{path}/camera", Sphere(0.12 * radius), dark)
+    meshcat.SetTransform(f"{path}/camera", RigidTransform([0.4 * radius, 0.0, 0.0]))
+    rotor = 0.42 * radius
+    arm = radius - rotor  # so that the rotors end at the radius on both axes
+    for i in range(4):
+        angle = np.pi / 4 + i * np.pi / 2
+        turn = RotationMatrix.MakeZRotation(angle)
+        reach = np.sqrt(2.0) * arm
+        hub = turn @ np.array([reach, 0.0, 0.12 * radius])
+        meshcat.SetObject(
+            f"{path}/arm{i}", Box(reach, 0.1 * radius, 0.08 * radius), dark
+        )
+        meshcat.SetTransform(
+            f"{path}/arm{i}",
+            RigidTransform(turn, turn @ np.array([reach / 2, 0.0, 0.03 * radius])),
+        )
+        front = i in (0, 3)
+        meshcat.SetObject(
+            f"{path}/rotor{i}",
+            Cylinder(rotor, 0.05 * radius),
+            rgba(VERMILION if front else BLACK, 0.75),
+        )
+        meshcat.SetTransform(f"{path}/rotor{i}", RigidTransform(hub))
+
+
+def vehicle_radius(scenario: Scenario, plan: Plan) -> float:
+    """So that the picture of the vehicle fits through the narrowest place."""
+    position = plan.reference(plan.sample_times(drawn_period(plan, _TUBE_PERIOD)))[:, 0]
+    distance = scenario.obstacle_set().clearance(position)
+    return float(np.clip(0.85 * np.min(distance, initial=np.inf), 0.1, 0.25))
+
+
+def set_camera(meshcat: Meshcat, *, low: FloatArray, high: FloatArray) -> None:
+    """Looks at the whole field, with its long axis across the picture."""
+    along_y = high[1] - low[1] >= high[0] - low[0]
+    azimuth = np.deg2rad(-12.0 if along_y else -102.0)
+    elevation = np.deg2rad(42.0)
+    back = np.array(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ]
+    )
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    up = np.cross(back, right)
+    tall = np.tan(np.deg2rad(_FIELD_OF_VIEW) / 2)
+    wide = tall * 16 / 9
+    middle = (low + high) / 2
+    corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1)
+    corners = corners.reshape(-1, 3) - middle
+    distance = max(
+        (np.abs(corners @ right) / (0.94 * wide) + corners @ back).max(),
+        (np.abs(corners @ up) / (0.55 * tall) + corners @ back).max(),
+    )
+    # The legend needs the upper third, so aim above the field.
+    target = middle + 0.25 * tall * distance * up
+    meshcat.SetCameraPose(target + distance * back, target)
+    meshcat.SetProperty("/Cameras/default/rotated/<object>", "fov", _FIELD_OF_VIEW)
+
+
+def add_pipe(
+    meshcat: Meshcat, path: str, points: FloatArray, color: str, radius: float
+) -> None:
+    """A line with a width that every browser draws."""
+    step = np.gradient(points, axis=0)
+    frames = travel_frames(step)
+    angle = np.arange(5) * 2 * np.pi / 5
+    circle = radius * np.stack([0 * angle, np.cos(angle), np.sin(angle)])
+    vertices, faces = swept_mesh(points[:, None] + (frames @ circle).swapaxes(1, 2))
+    meshcat.SetTriangleMesh(path, vertices.T, faces.T, rgba(color))
+
+
+def _linear(rgb: FloatArray) -> FloatArray:
+    """Linear light of sRGB colours, which the viewer expects of vertex colours."""
+    return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+
+
+def rgba(color: str, opacity: float = 1.0) -> Rgba:
+    """Drake's colour of a named one."""
+    return Rgba(*to_rgb(color), opacity)
