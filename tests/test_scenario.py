@@ -916,6 +916,14 @@ def test_what_is_no_scenario_at_all_gets_one_line(text: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_what_is_no_yaml_further_on_is_not_taken_at_its_word() -> None:
+    text = LEAST + "limits: {{speed: 1}: 2}\ncost: ]"
+    with pytest.raises(ScenarioError, match=r"^line 5: .* a name, before a colon$"):
+        parse_scenario(text.removesuffix("]") + "{}")
+    with pytest.raises(ScenarioError, match=r"^line 6: .* valid YAML$"):
+        parse_scenario(text)
+
+
 def test_broken_yaml_is_located() -> None:
     with pytest.raises(ScenarioError, match=r"^line 3: .* valid YAML$"):
         parse_scenario("name: x\nstart: {position: [0, 0, 0]\ngoal: ]\n")
