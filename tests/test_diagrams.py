@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from models_for_tests import FirstOrderScalar, PlanarOnSlope, ThirdOrderPlanar
 from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.systems.analysis import Simulator
 
@@ -36,6 +35,7 @@ from dtmpc_drake.scenario import (
     Waypoint,
     load_scenario,
 )
+from tests.models_for_tests import FirstOrderScalar, PlanarOnSlope, ThirdOrderPlanar
 
 
 def small(model: Any, **fields: Any) -> Scenario:

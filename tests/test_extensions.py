@@ -35,10 +35,10 @@ COMMANDS = {
 def harbour() -> Iterator[Scenario]:
     """From Python: whoever imports the package has its classes."""
     with forgetting():
-        import extensions
+        from tests import extensions
 
         for module in (extensions.model, extensions.disturbance):
-            assert module.__name__.startswith("extensions.")
+            assert module.__name__.startswith("tests.extensions.")
         yield load_scenario(HARBOUR)
 
 
@@ -151,5 +151,5 @@ def test_without_the_plugin_nobody_knows_them() -> None:
 
 def test_the_same_names_from_two_modules_are_refused(harbour: Scenario) -> None:
     """Imported, and loaded as a plugin: nobody could tell one Boat from the other."""
-    with pytest.raises(ScenarioError, match=r"Waves of .* has the name of extensions"):
+    with pytest.raises(ScenarioError, match=r"Waves of .* has the name of tests"):
         load_plugin(PLUGIN)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from models_for_tests import every_model, name_of
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, InitializeAutoDiff
 from pydrake.symbolic import Expression, MakeVectorVariable
 
@@ -18,6 +17,7 @@ from dtmpc_drake.models import (
     SampledBoxBounds,
 )
 from dtmpc_drake.numerics.arrays import bends, euclidean_norm, jacobian, magnitude
+from tests.models_for_tests import every_model, name_of
 
 models = pytest.mark.parametrize("model", every_model(), ids=name_of)
 seeds = st.integers(0, 2**32 - 1)

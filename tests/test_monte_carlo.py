@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from models_for_tests import PlanarOnSlope, ThirdOrderPlanar
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from pydrake.common import RandomDistribution, RandomGenerator
 from pydrake.common.value import Value
@@ -73,6 +72,7 @@ from dtmpc_drake.scenario import (
 )
 from dtmpc_drake.systems import Plant, SlidingModeTracker, hold_plan
 from dtmpc_drake.visualization import plot_plan, plot_quantiles
+from tests.models_for_tests import PlanarOnSlope, ThirdOrderPlanar
 
 KINDS = {kind.short_name: kind.hard for kind in DISTURBANCES if kind.short_name}
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from models_for_tests import make_problem, name_of, one_model_of_each_order
 
 from dtmpc_drake.models import Model
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.planning.transcription import Transcription
 from dtmpc_drake.records.plan import Plan, join
+from tests.models_for_tests import make_problem, name_of, one_model_of_each_order
 
 seeds = st.integers(0, 2**32 - 1)
 each_order = pytest.mark.parametrize("model", one_model_of_each_order(), ids=name_of)

@@ -9,14 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from models_for_tests import (
-    every_adversary,
-    every_model,
-    fly,
-    name_of,
-    one_model_of_each_order,
-    wave,
-)
 from pydrake.autodiffutils import InitializeAutoDiff
 
 from dtmpc_drake.method.sliding import (
@@ -30,6 +22,14 @@ from dtmpc_drake.method.sliding import (
 )
 from dtmpc_drake.models import IntegratorChain, Model
 from dtmpc_drake.numerics.arrays import Array
+from tests.models_for_tests import (
+    every_adversary,
+    every_model,
+    fly,
+    name_of,
+    one_model_of_each_order,
+    wave,
+)
 
 models = pytest.mark.parametrize("model", every_model(), ids=name_of)
 each_order = pytest.mark.parametrize("model", one_model_of_each_order(), ids=name_of)

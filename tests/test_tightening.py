@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from models_for_tests import FractionOfBound, PlanarOnSlope, every_model, name_of
 
 from dtmpc_drake.method.sliding import control
 from dtmpc_drake.method.tightening import feedback_bound, input_bound, rate_bound
 from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain, Model
 from dtmpc_drake.numerics.arrays import Array
+from tests.models_for_tests import FractionOfBound, PlanarOnSlope, every_model, name_of
 
 
 @dataclasses.dataclass

@@ -10,13 +10,6 @@ import pytest
 import scipy.integrate
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from models_for_tests import (
-    every_adversary,
-    fly,
-    name_of,
-    one_model_of_each_order,
-    wave,
-)
 
 from dtmpc_drake.method.sliding import sliding_variable
 from dtmpc_drake.method.tube import (
@@ -32,6 +25,13 @@ from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain, Model
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.filters import half_grid, integrate_filter, linear_recurrence
 from dtmpc_drake.scenario import Scenario
+from tests.models_for_tests import (
+    every_adversary,
+    fly,
+    name_of,
+    one_model_of_each_order,
+    wave,
+)
 
 if TYPE_CHECKING:
     from dtmpc_drake.records.result import PlanningResult
