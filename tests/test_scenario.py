@@ -270,6 +270,11 @@ def test_constant_uncertainty_is_the_supremum_at_the_speed_limit() -> None:
     assert model.bound == pytest.approx([1.25] * 3)
 
 
+def test_a_fixed_bandwidth_is_the_only_one_there_is() -> None:
+    assert Bandwidth(min=0.5, max=4.0).interval() == (0.5, 4.0)
+    assert Bandwidth(min=0.5, max=4.0, fixed=3.0).interval() == (3.0, 3.0)
+
+
 def test_a_plant_that_is_not_described_is_what_the_model_expects() -> None:
     s = parse_scenario(LEAST)
     assert s.plant_parameters() == {"drag": pytest.approx(0.1)}
