@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from dtmpc_drake.experiments.monte_carlo import Batch
 
 BAD_INPUT, NOT_CERTIFIED = 2, 3
-OPTIONS = ("seed", "trials", "batch-size", "disturbance", "scheduler", "plugin")
+OPTIONS = ("seed", "trials", "batch-size", "disturbance", "scheduler")
 """Fields of a ScenarioError that are options and no part of a file."""
 
 app = typer.Typer(
@@ -230,10 +230,12 @@ def show(
     plugin: PluginOption = None,
 ) -> None:
     """Print a scenario file, to be copied and changed."""
-    with _input_errors(None):
+    try:
         scenario = _load(name, plugin)
-        text = _text(name) if name in shipped_scenarios() else scenario.to_yaml()
-    typer.echo(text.rstrip())
+    except ScenarioError as error:
+        _refuse(str(error))
+    shipped = name in shipped_scenarios()
+    typer.echo((_text(name) if shipped else scenario.to_yaml()).rstrip())
 
 
 @app.command()
@@ -242,8 +244,10 @@ def check(
     plugin: PluginOption = None,
 ) -> None:
     """Validate a scenario without planning it."""
-    with _input_errors(None):
+    try:
         scenario = _load(file, plugin)
+    except ScenarioError as error:
+        _refuse(str(error))
     typer.echo(f"valid: {scenario!r}")
 
 
@@ -255,7 +259,10 @@ def _load(
     backend: str | None = None,
 ) -> Scenario:
     """The scenario with what the command line replaces, validated again."""
-    load_plugins(plugins or [])
+    try:
+        load_plugins(plugins or [])
+    except ScenarioError as error:
+        _refuse(f"--{error}")
     scenario = load_scenario(name)
     if seed is not None:
         scenario.simulation.seed = _whole("seed", seed)

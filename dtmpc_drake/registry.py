@@ -63,7 +63,8 @@ class Registry(Generic[T]):
         if other is not None and _origin(other) != _origin(cls):
             here, there = ".".join(_origin(cls)), ".".join(_origin(other))
             raise ValueError(f"{what} of {here} has the name of {there}")
-        setattr(cls, _MARK, True)
+        # Of its own: what equals that of a base would not be pickled.
+        setattr(cls, _MARK, ".".join(_origin(cls)))
         self._classes[name] = cls
         return cls
 

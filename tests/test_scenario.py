@@ -270,6 +270,11 @@ def test_constant_uncertainty_is_the_supremum_at_the_speed_limit() -> None:
     assert model.bound == pytest.approx([1.25] * 3)
 
 
+def test_a_fixed_bandwidth_is_the_only_one_there_is() -> None:
+    assert Bandwidth(min=0.5, max=4.0).interval() == (0.5, 4.0)
+    assert Bandwidth(min=0.5, max=4.0, fixed=3.0).interval() == (3.0, 3.0)
+
+
 def test_a_plant_that_is_not_described_is_what_the_model_expects() -> None:
     s = parse_scenario(LEAST)
     assert s.plant_parameters() == {"drag": pytest.approx(0.1)}
@@ -914,6 +919,14 @@ def test_what_is_no_scenario_at_all_gets_one_line(text: str) -> None:
     with pytest.raises(ScenarioError) as caught:
         parse_scenario(text)
     assert "\n" not in str(caught.value)
+
+
+def test_what_is_no_yaml_further_on_is_not_taken_at_its_word() -> None:
+    text = LEAST + "limits: {{speed: 1}: 2}\ncost: ]"
+    with pytest.raises(ScenarioError, match=r"^line 5: .* a name, before a colon$"):
+        parse_scenario(text.removesuffix("]") + "{}")
+    with pytest.raises(ScenarioError, match=r"^line 6: .* valid YAML$"):
+        parse_scenario(text)
 
 
 def test_broken_yaml_is_located() -> None:

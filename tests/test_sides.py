@@ -13,7 +13,7 @@ from dtmpc_drake.errors import ScenarioError
 from dtmpc_drake.experiments.random_fields import SEEDS, compare, random_field
 from dtmpc_drake.experiments.simulate import CANDIDATES, run
 from dtmpc_drake.method.tube import TubeStart
-from dtmpc_drake.models import IntegratorChain
+from dtmpc_drake.models import IntegratorChain, register_model
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Obstacle, Sphere
 from dtmpc_drake.planning import Problem, plan, plan_problem
 from dtmpc_drake.planning.search.best_side import SWITCH, affordable, plan_best_side
@@ -276,6 +276,7 @@ def test_without_sides_the_straight_line_is_the_only_candidate():
     assert [c.start for c in result.candidates] == ["straight line"]
 
 
+@register_model
 class Unproven(IntegratorChain):
     """A model whose bounds nobody has proven, so that no plan is certified."""
 

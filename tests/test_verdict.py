@@ -24,7 +24,7 @@ from dtmpc_drake.diagrams import FlyTrials, Simulate, draw_trials
 from dtmpc_drake.diagrams.recorder import Recorder
 from dtmpc_drake.experiments.monte_carlo import MonteCarlo, draw
 from dtmpc_drake.experiments.simulate import run
-from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
+from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain, register_model
 from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.planning import plan
 from dtmpc_drake.records import verdict
@@ -211,6 +211,7 @@ def test_a_state_that_was_not_a_number_once_stays_so(short_plan):
 # Flights.
 
 
+@register_model
 class Hidden(DragDoubleIntegrator):
     """A plant that does what its model does not allow for."""
 
@@ -319,6 +320,7 @@ def test_a_flight_that_is_well_says_so(tmp_path):
     assert "kept layer, tubes, limits and obstacles" in repr(experiment)
 
 
+@register_model
 class Exploding(Hidden):
     """A plant that leaves all numbers behind within some steps."""
 

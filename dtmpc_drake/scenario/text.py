@@ -26,6 +26,8 @@ DEEPEST = 16
 """Values within each other; a scenario has six."""
 LONGEST = 1000
 """Characters of one value."""
+_REST = 10_000
+"""Pieces of a text that are looked at after one that is wrong."""
 
 _YAML = "tag:yaml.org,2002:"
 
@@ -76,7 +78,7 @@ def read_yaml(text: str) -> Any:
     size = f"{len(text)} characters"
     require("the file", size, len(text) <= MOST_BYTES, f"at most {MOST_BYTES}")
     try:
-        data = _Reader(text).read()
+        data = _read(text)
     except ScenarioError:
         raise
     except (yaml.YAMLError, ValueError, OverflowError) as error:
@@ -88,6 +90,16 @@ def read_yaml(text: str) -> Any:
         for name in [name for name in data if name.startswith("_")]:
             del data[name]
     return data
+
+
+def _read(text: str) -> Any:
+    reader = _Reader(text)
+    try:
+        return reader.read()
+    except ScenarioError:
+        # If the rest is no YAML, the text was not meant as it was taken.
+        reader.finish()
+        raise
 
 
 @dataclasses.dataclass
@@ -109,6 +121,7 @@ class _Reader(yaml.SafeLoader):
     def __init__(self, text: str) -> None:
         super().__init__(text)
         self._count = self._depth = self._deepest = 0
+        self._is_bounded = True
         self._anchored: dict[str, _Anchored] = {}
 
     def read(self) -> Any:
@@ -124,6 +137,13 @@ class _Reader(yaml.SafeLoader):
             raise ComposerError(None, None, problem, other.start_mark)
         return value
 
+    def finish(self) -> None:
+        """Looks at what is left, unless there is too much of it."""
+        for _ in range(_REST):
+            if not self._is_bounded or self._peek() is None:
+                break
+            self._next()
+
     def _peek(self) -> Any:
         return self.peek_event()  # type: ignore[no-untyped-call]
 
@@ -133,13 +153,14 @@ class _Reader(yaml.SafeLoader):
     def _add(self, event: Any, count: int = 1, depth: int = 1) -> None:
         """Counts what is read or repeated."""
         self._count += count
-        self._deepest = max(self._deepest, self._depth + depth)
+        deepest = self._depth + depth
+        self._deepest = max(self._deepest, deepest)
+        self._is_bounded = self._count <= MOST_VALUES and deepest <= DEEPEST
         where, most = f"line {event.start_mark.line + 1}", f"at most {MOST_VALUES}"
         many = f"{self._count} values"
         require(where, many, self._count <= MOST_VALUES, f"{most}, repeated ones too")
-        deep = f"{self._depth + depth} values in each other"
-        ok = self._depth + depth <= DEEPEST
-        require(where, deep, ok, f"at most {DEEPEST}")
+        deep = f"{deepest} values in each other"
+        require(where, deep, deepest <= DEEPEST, f"at most {DEEPEST}")
 
     def _alias(self, event: Any) -> _Anchored:
         """What an alias repeats."""
