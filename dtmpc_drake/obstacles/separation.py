@@ -22,6 +22,8 @@ SMALLEST_SIZE = 1e-3
 """Tubes whose size is below this bend as if it were this, in m."""
 FLAT = 1e-6
 """Components of a normal that are smaller are in the kink of their magnitude."""
+_NEARBY = 0.1
+"""Turns, in rad, that a derivative by turning looks at where a core has faces."""
 _ROUNDS = 2
 """Of improving the normals that part from a core that is more than a point."""
 
@@ -107,9 +109,10 @@ class Halfplanes:
             ``(count, c, tangents)``.
         """
         tangents = tangent_space(self.normal[:count])
-        # The core's farthest point is that of the largest margin: to first order it
-        # does not move.
-        turn = np.einsum("pci,pti->pct", self.hull[:count], tangents)
+        hull = self.hull[:count]
+        if self.obstacles.groups:
+            hull = hull + self._step_of_support(tangents)[:, None]
+        turn = np.einsum("pci,pti->pct", hull, tangents)
         if self.tube_margin == "support":
             # |H'ν| Ω turns, too; in its kinks it has no slope.
             H = self.obstacles.shape[self.obstacle[:count]]
@@ -118,6 +121,19 @@ class Halfplanes:
             by_turn = np.einsum("pij,pti->ptj", H, tangents) * sign[:, None]
             turn -= tube[self.piece[:count]] @ by_turn.swapaxes(1, 2)
         return turn
+
+    def _step_of_support(self, tangents: Array) -> Array:
+        """From the mean of the core's farthest points nearby to the farthest one.
+
+        To first order the farthest point does not move as the normal turns, but that of
+        a core with faces jumps.  The mean of what a small turn to either side gives
+        promises neither side too much.
+        """
+        count = len(tangents)
+        obstacle, normal = self.obstacle[:count], self.normal[:count]
+        turns = _NEARBY * np.concatenate([tangents, -tangents], axis=1)
+        around = self.obstacles.support(obstacle, normal[:, None] + turns)
+        return self.obstacles.support(obstacle, normal) - around.mean(axis=1)
 
     def lost_by_turning(self) -> Array:
         """Margin that a turn by θ gives up, over |θ|²/2, ``(P, c)``."""
@@ -273,9 +289,11 @@ def separate(
         normal = separating_normals(hull, size)
     cored = np.flatnonzero(obstacles.group[obstacle] >= 0)
     if len(cored):
-        normal[cored] = _parting_from_cores(
+        better, room = _parting_from_cores(
             obstacles, hull[cored], obstacle[cored], boxes[cored], tube_margin
         )
+        apart = room > 0
+        normal[cored[apart]] = better[apart]
     found = _measured(obstacles, tube_margin, controls, tube, piece, obstacle, normal)
     exact = tube_margin == "norm" and obstacles.tangents == 1 and not len(cored)
     if hint is None or exact or not len(hint):
@@ -340,7 +358,7 @@ def _parting_from_cores(
     obstacle: Array,
     boxes: Array,
     tube_margin: str,
-) -> Array:
+) -> tuple[Array, Array]:
     """Normals that part hulls well from cores that are more than a point.
 
     Tried are those along which control points, and points midway between two, are
@@ -355,7 +373,7 @@ def _parting_from_cores(
         tube_margin: ``norm`` or ``support``.
 
     Returns:
-        ``(P, rows)``.
+        Normals, ``(P, rows)``, and how far apart hull and core are, without a tube.
     """
     first, second = np.triu_indices(hull.shape[1], 0)
     points = (hull[:, first] + hull[:, second]) / 2
@@ -383,4 +401,5 @@ def _parting_from_cores(
         size = np.broadcast_to(here, (count, candidates.shape[1], hull.shape[1]))
         better = separating_normals(hull - point[:, None], size[places, best])
         candidates = np.stack([normal, better], axis=1)
-    return np.asarray(normal)
+    between = np.einsum("pci,pi->pc", hull - point[:, None], normal)
+    return np.asarray(normal), np.asarray(between.min(axis=1))

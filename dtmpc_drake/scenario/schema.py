@@ -773,7 +773,7 @@ class Scenario:
         """
         self._check_types()
         # Drake's writer wants to be told every kind of obstacle.
-        kinds = {"obstacles": list[Union[tuple(KINDS)]]}  # type: ignore[misc]
+        kinds = {"obstacles": list[tuple(KINDS)]}  # type: ignore[misc]
         fields = dataclasses.fields(Scenario)
         schema = dataclasses.make_dataclass(
             "Scenario", [(f.name, kinds.get(f.name, f.type)) for f in fields]

@@ -21,11 +21,10 @@ from matplotlib.path import Path
 from dtmpc_drake.method.sliding import sliding_variable, switching_gain
 from dtmpc_drake.method.tightening import input_bound, rate_bound
 from dtmpc_drake.numerics.arrays import Array, FloatArray
+from dtmpc_drake.obstacles.drawing import Outline, intervals
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.visualization.geometry import (
-    Ellipse,
-    obstacle_intervals,
     obstacle_sections,
     swept_boxes,
 )
@@ -165,7 +164,7 @@ class View:
     center: FloatArray
     half: FloatArray
     clouds: Sequence[Cloud]
-    obstacles: list[tuple[Ellipse | None, Ellipse]]
+    obstacles: list[tuple[Outline | None, Outline]]
     coloring: Coloring
 
     @classmethod
@@ -445,7 +444,7 @@ def _plot_over_time(
     _colored_line(axes, line, coloring, 0.8 if many else 3.0)
     axes.margins(x=0.02)
     bottom, top = axes.get_ylim()
-    for low, high in obstacle_intervals(scenario.obstacle_set()):
+    for low, high in intervals(scenario.obstacle_set()):
         axes.axhspan(low, high, fc=GREY, ec=EDGE, lw=0.8, zorder=1)
         if low < 2 * top - bottom and high > 2 * bottom - top:
             bottom, top = min(bottom, low), max(top, high)
