@@ -22,8 +22,8 @@ SMALLEST_SIZE = 1e-3
 """Tubes whose size is below this bend as if it were this, in m."""
 FLAT = 1e-6
 """Components of a normal that are smaller are in the kink of their magnitude."""
-_NEARBY = 0.1
-"""Turns, in rad, that a derivative by turning looks at where a core has faces."""
+_ROUNDING = 0.1
+"""Of the edges of cores, in rad, for derivatives by turning."""
 _ROUNDS = 2
 """Of improving the normals that part from a core that is more than a point."""
 
@@ -111,7 +111,12 @@ class Halfplanes:
         tangents = tangent_space(self.normal[:count])
         hull = self.hull[:count]
         if self.obstacles.groups:
-            hull = hull + self._step_of_support(tangents)[:, None]
+            # To first order a core's farthest point does not move as the normal turns,
+            # but that of a face jumps: its rounding promises neither side too much.
+            obstacle, normal = self.obstacle[:count], self.normal[:count]
+            rounded, _ = self.obstacles.rounded_support(obstacle, normal, _ROUNDING)
+            sharp = self.obstacles.support(obstacle, normal)
+            hull = hull + (sharp - rounded)[:, None]
         turn = np.einsum("pci,pti->pct", hull, tangents)
         if self.tube_margin == "support":
             # |H'ν| Ω turns, too; in its kinks it has no slope.
@@ -121,19 +126,6 @@ class Halfplanes:
             by_turn = np.einsum("pij,pti->ptj", H, tangents) * sign[:, None]
             turn -= tube[self.piece[:count]] @ by_turn.swapaxes(1, 2)
         return turn
-
-    def _step_of_support(self, tangents: Array) -> Array:
-        """From the mean of the core's farthest points nearby to the farthest one.
-
-        To first order the farthest point does not move as the normal turns, but that of
-        a core with faces jumps.  The mean of what a small turn to either side gives
-        promises neither side too much.
-        """
-        count = len(tangents)
-        obstacle, normal = self.obstacle[:count], self.normal[:count]
-        turns = _NEARBY * np.concatenate([tangents, -tangents], axis=1)
-        around = self.obstacles.support(obstacle, normal[:, None] + turns)
-        return self.obstacles.support(obstacle, normal) - around.mean(axis=1)
 
     def lost_by_turning(self) -> Array:
         """Margin that a turn by θ gives up, over |θ|²/2, ``(P, c)``."""
@@ -170,7 +162,7 @@ class Turning:
     Attributes:
         planes: that turn.
         rows: which of them, ``(R,)``.
-        rounding: radius of what stands for the kinks of ``|H'ν|``.
+        rounding: of the kinks of ``|H'ν|`` and of the edges of cores.
     """
 
     planes: Halfplanes
@@ -200,10 +192,10 @@ class Turning:
         Returns:
             ``(R, c)``.
         """
-        normal, hull = self._turned(controls, rotation)
+        normal, hull, excess = self._turned(controls, rotation)
         size, _, _ = self._size(tube, np.einsum("pij,pi->pj", self._shape, normal))
         along = np.einsum("pci,pi->pc", hull, normal)
-        radius = self.planes.obstacles.radius[self._obstacle]
+        radius = self.planes.obstacles.radius[self._obstacle] + excess
         return np.asarray(along - radius[:, None] - size)
 
     def slopes(
@@ -215,7 +207,7 @@ class Turning:
             By position, ``(R, m)``; by tube, ``(R, c, m)``; by turning,
             ``(R, c, tangents)``.
         """
-        normal, hull = self._turned(controls, rotation)
+        normal, hull, _ = self._turned(controls, rotation)
         length = np.sqrt(1 + (rotation * rotation).sum(axis=1))[:, None, None]
         by_turn = self._tangents / length
         by_turn = by_turn - normal[:, None] * rotation[:, :, None] / length**2
@@ -227,11 +219,21 @@ class Turning:
             turn = turn - np.einsum("pcj,ptj->pct", by_direction, moved)
         return direction, -by_tube, turn
 
-    def _turned(self, controls: Array, rotation: Array) -> tuple[Array, Array]:
-        """Normals, and the control points' offsets from the core."""
-        obstacles = self.planes.obstacles
+    def _turned(
+        self, controls: Array, rotation: Array
+    ) -> tuple[Array, Array, Array | float]:
+        """Normals, the control points' offsets from the rounded core, and its excess.
+
+        The excess is what the support function has beyond ``ν's``.
+        """
+        obstacles, obstacle = self.planes.obstacles, self._obstacle
         normal = turned(self.planes.normal[self.rows], rotation)
-        return normal, _offsets(obstacles, controls, self._obstacle, normal)
+        hull = np.einsum("pij,pcj->pci", self._shape, controls)
+        hull = hull - obstacles.center[obstacle][:, None]
+        if not obstacles.groups:
+            return normal, hull, 0.0
+        point, excess = obstacles.rounded_support(obstacle, normal, self.rounding)
+        return normal, hull - point[:, None], excess
 
     def _size(
         self, tube: Array, direction: Array

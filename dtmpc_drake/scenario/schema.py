@@ -773,7 +773,8 @@ class Scenario:
         """
         self._check_types()
         # Drake's writer wants to be told every kind of obstacle.
-        kinds = {"obstacles": list[tuple(KINDS)]}  # type: ignore[misc]
+        anything: Any = Union.__getitem__(tuple(KINDS))
+        kinds: dict[str, Any] = {"obstacles": list[anything]}
         fields = dataclasses.fields(Scenario)
         schema = dataclasses.make_dataclass(
             "Scenario", [(f.name, kinds.get(f.name, f.type)) for f in fields]

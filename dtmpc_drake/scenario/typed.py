@@ -136,7 +136,11 @@ def _filled(schema: Any, value: Any, path: str) -> Any:
             )
     required = _REQUIRED.get(path, ())
     if path.startswith("obstacles["):
-        required = tuple(name for name in ("center", "radius") if name in fields)
+        required = tuple(
+            f.name
+            for f in dataclasses.fields(schema)
+            if f.name in ("center", "radius") or f.default is f.default_factory
+        )
     for name in required:
         if name not in value:
             raise ScenarioError(join(path, name), None, "given: it is missing")

@@ -226,7 +226,10 @@ class View:
         for section, silhouette in self.obstacles:
             outline = silhouette.outline()[:, order]
             filled = outline if section is None else section.outline()[:, order]
-            if section is None or not np.allclose(filled, outline, atol=1e-3):
+            same = filled.shape == outline.shape and np.allclose(
+                filled, outline, atol=1e-3
+            )
+            if section is None or not same:
                 axes.add_patch(
                     Polygon(outline, fill=False, ec=GREY, lw=0.8, ls="--", zorder=3)
                 )

@@ -10,7 +10,7 @@ from dtmpc_drake.obstacles import Fault, Obstacle, obstacle_kind
 @obstacle_kind
 @dataclasses.dataclass
 class Box(Obstacle):
-    """A box.
+    """A box, or a rectangle for a planar vehicle.
 
     Attributes:
         center: in m.
@@ -23,28 +23,22 @@ class Box(Obstacle):
     yaw: float = 0.0
 
     def support(self, direction):
-        along = direction @ self._axes
-        return self.center + np.copysign(self.half, along) @ self._axes.T
+        return self.center + np.copysign(self.half, direction @ self.axes) @ self.axes.T
 
     def nearest(self, point):
-        inside = np.clip((point - self.center) @ self._axes, *self._sides)
-        return self.center + inside @ self._axes.T
+        half, own = np.array(self.half), (point - self.center) @ self.axes
+        return self.center + np.clip(own, -half, half) @ self.axes.T
 
     def faults(self, num_outputs):
-        if len(self.center) != num_outputs or len(self.half) != num_outputs:
-            return [Fault("half", self.half, f"{num_outputs} numbers, as the center")]
-        return [] if min(self.half) > 0 else [Fault("half", self.half, "positive")]
+        sizes = len(self.center) == len(self.half) == num_outputs >= 2
+        if not sizes or min(self.half) <= 0:
+            yield Fault("half", self.half, f"{num_outputs} positive numbers, in m")
 
     @property
-    def _sides(self):
-        return -np.array(self.half), np.array(self.half)
-
-    @property
-    def _axes(self):
-        turn, c, s = np.eye(len(self.center)), *_circle(self.yaw)
-        turn[:2, :2] = [[c, -s], [s, c]]
-        return turn
-
-
-def _circle(degrees):
-    return np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+    def axes(self):
+        axes, angle = np.eye(len(self.center)), np.deg2rad(self.yaw)
+        axes[0, :2], axes[1, :2] = (
+            (np.cos(angle), -np.sin(angle)),
+            (np.sin(angle), np.cos(angle)),
+        )
+        return axes
