@@ -18,6 +18,7 @@ from dtmpc_drake.disturbances import UniformHold
 from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
 from dtmpc_drake.numerics.arrays import FloatArray
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Obstacle, ObstacleSet, Sphere
+from dtmpc_drake.obstacles.drawing import intervals
 from dtmpc_drake.planning import plan as make_plan
 from dtmpc_drake.records.flight import Flight
 from dtmpc_drake.records.plan import Plan
@@ -37,7 +38,6 @@ from dtmpc_drake.visualization import (
 )
 from dtmpc_drake.visualization.geometry import (
     embedding,
-    obstacle_intervals,
     obstacle_sections,
     obstacle_solids,
     swept_boxes,
@@ -418,7 +418,7 @@ def test_intervals_of_a_single_output() -> None:
     obstacles = ObstacleSet.stack(
         [Sphere([7.5], 1.0), Ellipsoid([2.0], [[2.0]], 1.0)], 1
     )
-    np.testing.assert_allclose(obstacle_intervals(obstacles), [[6.5, 8.5], [1.5, 2.5]])
+    np.testing.assert_allclose(intervals(obstacles), [[6.5, 8.5], [1.5, 2.5]])
 
 
 def test_swept_boxes_cover_all_between_the_samples() -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -274,6 +275,41 @@ class ObstacleSet:
             own = self.center[which].reshape(-1, *[1] * (direction.ndim - 2), self._row)
             result[mine, ..., : group.rows] = there - own[..., : group.rows]
         return result
+
+    def rounded_support(
+        self, obstacle: Indices, direction: Array, rounding: float
+    ) -> tuple[Array, Array]:
+        """Farthest points of cores that move smoothly as the direction turns.
+
+        ``max ν's - ε s's / 2`` over the core is at the point nearest to ``ν / ε`` (the
+        Moreau envelope of the support function), and its slope by ν is that point.
+        With ε the `rounding` over the core's width an edge is turned around within
+        about so many radians.
+
+        Args:
+            obstacle: indices, ``(P,)``.
+            direction: unit vectors ν, ``(P, rows)``.
+            rounding: in rad.
+
+        Returns:
+            Points s, as offsets from p_c, ``(P, rows)``; and what the maximum, made as
+            large as the support function or larger, has beyond ``ν's``, ``(P,)``.
+        """
+        width = np.maximum(self.widths[obstacle], 1e-9)
+        epsilon = rounding / width
+        point = self.nearest(obstacle, direction / epsilon[:, None])
+        square = self.widths[obstacle] ** 2 - (point * point).sum(axis=1)
+        return point, epsilon * square / 2
+
+    @cached_property
+    def widths(self) -> Array:
+        """No point of a core is further than this from p_c, ``(o,)``."""
+        rows = self._row
+        which = np.arange(len(self))
+        axes = np.concatenate([np.eye(rows), -np.eye(rows)])
+        far = self.support(which, np.broadcast_to(axes, (len(self), *axes.shape)))
+        reach = np.abs(np.einsum("oai,ai->oa", far, axes)).reshape(-1, 2, rows)
+        return np.asarray(np.linalg.norm(reach.max(axis=1), axis=1))
 
     def nearest(self, obstacle: Indices, offset: Array) -> Array:
         """Points of cores that are nearest to others; all offsets from p_c.

@@ -22,6 +22,8 @@ SMALLEST_SIZE = 1e-3
 """Tubes whose size is below this bend as if it were this, in m."""
 FLAT = 1e-6
 """Components of a normal that are smaller are in the kink of their magnitude."""
+_ROUNDING = 0.1
+"""Of the edges of cores, in rad, for derivatives by turning."""
 _ROUNDS = 2
 """Of improving the normals that part from a core that is more than a point."""
 
@@ -107,9 +109,15 @@ class Halfplanes:
             ``(count, c, tangents)``.
         """
         tangents = tangent_space(self.normal[:count])
-        # The core's farthest point is that of the largest margin: to first order it
-        # does not move.
-        turn = np.einsum("pci,pti->pct", self.hull[:count], tangents)
+        hull = self.hull[:count]
+        if self.obstacles.groups:
+            # To first order a core's farthest point does not move as the normal turns,
+            # but that of a face jumps: its rounding promises neither side too much.
+            obstacle, normal = self.obstacle[:count], self.normal[:count]
+            rounded, _ = self.obstacles.rounded_support(obstacle, normal, _ROUNDING)
+            sharp = self.obstacles.support(obstacle, normal)
+            hull = hull + (sharp - rounded)[:, None]
+        turn = np.einsum("pci,pti->pct", hull, tangents)
         if self.tube_margin == "support":
             # |H'ν| Ω turns, too; in its kinks it has no slope.
             H = self.obstacles.shape[self.obstacle[:count]]
@@ -154,7 +162,7 @@ class Turning:
     Attributes:
         planes: that turn.
         rows: which of them, ``(R,)``.
-        rounding: radius of what stands for the kinks of ``|H'ν|``.
+        rounding: of the kinks of ``|H'ν|`` and of the edges of cores.
     """
 
     planes: Halfplanes
@@ -184,10 +192,10 @@ class Turning:
         Returns:
             ``(R, c)``.
         """
-        normal, hull = self._turned(controls, rotation)
+        normal, hull, excess = self._turned(controls, rotation)
         size, _, _ = self._size(tube, np.einsum("pij,pi->pj", self._shape, normal))
         along = np.einsum("pci,pi->pc", hull, normal)
-        radius = self.planes.obstacles.radius[self._obstacle]
+        radius = self.planes.obstacles.radius[self._obstacle] + excess
         return np.asarray(along - radius[:, None] - size)
 
     def slopes(
@@ -199,7 +207,7 @@ class Turning:
             By position, ``(R, m)``; by tube, ``(R, c, m)``; by turning,
             ``(R, c, tangents)``.
         """
-        normal, hull = self._turned(controls, rotation)
+        normal, hull, _ = self._turned(controls, rotation)
         length = np.sqrt(1 + (rotation * rotation).sum(axis=1))[:, None, None]
         by_turn = self._tangents / length
         by_turn = by_turn - normal[:, None] * rotation[:, :, None] / length**2
@@ -211,11 +219,21 @@ class Turning:
             turn = turn - np.einsum("pcj,ptj->pct", by_direction, moved)
         return direction, -by_tube, turn
 
-    def _turned(self, controls: Array, rotation: Array) -> tuple[Array, Array]:
-        """Normals, and the control points' offsets from the core."""
-        obstacles = self.planes.obstacles
+    def _turned(
+        self, controls: Array, rotation: Array
+    ) -> tuple[Array, Array, Array | float]:
+        """Normals, the control points' offsets from the rounded core, and its excess.
+
+        The excess is what the support function has beyond ``ν's``.
+        """
+        obstacles, obstacle = self.planes.obstacles, self._obstacle
         normal = turned(self.planes.normal[self.rows], rotation)
-        return normal, _offsets(obstacles, controls, self._obstacle, normal)
+        hull = np.einsum("pij,pcj->pci", self._shape, controls)
+        hull = hull - obstacles.center[obstacle][:, None]
+        if not obstacles.groups:
+            return normal, hull, 0.0
+        point, excess = obstacles.rounded_support(obstacle, normal, self.rounding)
+        return normal, hull - point[:, None], excess
 
     def _size(
         self, tube: Array, direction: Array
@@ -273,9 +291,11 @@ def separate(
         normal = separating_normals(hull, size)
     cored = np.flatnonzero(obstacles.group[obstacle] >= 0)
     if len(cored):
-        normal[cored] = _parting_from_cores(
+        better, room = _parting_from_cores(
             obstacles, hull[cored], obstacle[cored], boxes[cored], tube_margin
         )
+        apart = room > 0
+        normal[cored[apart]] = better[apart]
     found = _measured(obstacles, tube_margin, controls, tube, piece, obstacle, normal)
     exact = tube_margin == "norm" and obstacles.tangents == 1 and not len(cored)
     if hint is None or exact or not len(hint):
@@ -340,7 +360,7 @@ def _parting_from_cores(
     obstacle: Array,
     boxes: Array,
     tube_margin: str,
-) -> Array:
+) -> tuple[Array, Array]:
     """Normals that part hulls well from cores that are more than a point.
 
     Tried are those along which control points, and points midway between two, are
@@ -355,7 +375,7 @@ def _parting_from_cores(
         tube_margin: ``norm`` or ``support``.
 
     Returns:
-        ``(P, rows)``.
+        Normals, ``(P, rows)``, and how far apart hull and core are, without a tube.
     """
     first, second = np.triu_indices(hull.shape[1], 0)
     points = (hull[:, first] + hull[:, second]) / 2
@@ -383,4 +403,5 @@ def _parting_from_cores(
         size = np.broadcast_to(here, (count, candidates.shape[1], hull.shape[1]))
         better = separating_normals(hull - point[:, None], size[places, best])
         candidates = np.stack([normal, better], axis=1)
-    return np.asarray(normal)
+    between = np.einsum("pci,pi->pc", hull - point[:, None], normal)
+    return np.asarray(normal), np.asarray(between.min(axis=1))

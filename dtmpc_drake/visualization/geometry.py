@@ -6,16 +6,12 @@ planar vehicle moves in the plane z = 0 and a single output along y.
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import numpy.typing as npt
 
 from dtmpc_drake.numerics.arrays import FloatArray
 from dtmpc_drake.obstacles import ObstacleSet
-
-_UNBOUNDED = 1e-9
-"""Below this relative singular value an obstacle has no end in a direction."""
+from dtmpc_drake.obstacles.drawing import Mesh, Outline, Solid, outlines, solids
 
 
 def embedding(num_outputs: int) -> FloatArray:
@@ -30,140 +26,18 @@ def missing_axes(num_outputs: int) -> FloatArray:
     return np.asarray(1.0 - embedding(num_outputs).sum(axis=1))
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Ellipse:
-    """The points ``center + axes @ w`` with ``‖w‖ <= 1``, in the plane x, y.
-
-    Attributes:
-        center: ``(2,)``, in m.
-        axes: ``(2, 2)``, half-axes as columns, in m; huge where unbounded.
-    """
-
-    center: FloatArray
-    axes: FloatArray
-
-    def outline(self, count: int = 181) -> FloatArray:
-        """Points on the boundary, ``(count, 2)``, the last one the first."""
-        angle = np.linspace(0.0, 2 * np.pi, count)
-        circle = np.stack([np.cos(angle), np.sin(angle)])
-        return np.asarray(self.center + (self.axes @ circle).T)
-
-
 def obstacle_sections(
     obstacles: ObstacleSet, position: FloatArray, position_tube: FloatArray
-) -> list[tuple[Ellipse | None, Ellipse]]:
-    """Every obstacle as seen from above.
-
-    Args:
-        obstacles: of a vehicle with two outputs or more.
-        position: y* at some times, ``(K, m)``.
-        position_tube: Ω, ``(K, m)``.
-
-    Returns:
-        For each obstacle its section at the altitude where the tube comes
-        closest (None if it lies above or below all of the tube there), and its
-        silhouette.
-    """
-    E = embedding(position.shape[1])
-    nearest = obstacles.clearance(position, position_tube, "support").argmin(axis=0)
-    shapes = []
-    for i, k in enumerate(nearest):
-        H = obstacles.shape[i] @ E.T / obstacles.radius[i]
-        center = np.linalg.pinv(H) @ obstacles.center[i] / obstacles.radius[i]
-        Q = H.T @ H
-        altitude, band = (E @ position[k])[2], (E @ position_tube[k])[2]
-        # The largest section within the tube's altitudes.
-        rise = np.clip(0.0, *(altitude - center[2] + np.array([-band, band])))
-        shift = np.linalg.pinv(Q[:2, :2]) @ Q[:2, 2]
-        left = 1.0 - rise**2 * (Q[2, 2] - Q[2, :2] @ shift)
-        section = None
-        if left > 0.0:
-            axes = np.sqrt(left) * _half_axes(Q[:2, :2])
-            section = Ellipse(center[:2] - shift * rise, axes)
-        shadow = Q[:2, :2]
-        if Q[2, 2] > _UNBOUNDED:
-            shadow = shadow - np.outer(Q[:2, 2], Q[2, :2]) / Q[2, 2]
-        shapes.append((section, Ellipse(center[:2], _half_axes(shadow))))
-    return shapes
-
-
-def obstacle_intervals(obstacles: ObstacleSet) -> FloatArray:
-    """The ends of every obstacle of a vehicle with one output, ``(o, 2)``."""
-    H = obstacles.shape[:, :, 0]
-    stretch = np.linalg.norm(H, axis=1)
-    center = (H * obstacles.center).sum(axis=1) / stretch**2
-    half = obstacles.radius / stretch
-    return np.stack([center - half, center + half], axis=1)
-
-
-def _half_axes(Q: FloatArray) -> FloatArray:
-    """The half-axes of ``{w: wᵀ Q w <= 1}`` as columns, at most 10⁴ long."""
-    values, vectors = np.linalg.eigh(Q)
-    return np.asarray(vectors / np.sqrt(np.maximum(values, 1e-8)))
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Solid:
-    """An obstacle as an affine image of a primitive.
-
-    Attributes:
-        rank: of H; 3 is an image of the unit ball, 2 of the unit cylinder
-            (axis along the third coordinate, from -1 to 1), 1 of the slab
-            ``|z| <= 1`` cut to a cube of half-width one.
-        transform: homogeneous, ``(4, 4)``.
-    """
-
-    rank: int
-    transform: FloatArray
+) -> list[tuple[Outline | None, Outline]]:
+    """Every obstacle as seen from above; see `drawing.outlines`."""
+    return outlines(obstacles, embedding(position.shape[1]), position, position_tube)
 
 
 def obstacle_solids(
     obstacles: ObstacleSet, num_outputs: int, low: FloatArray, high: FloatArray
-) -> list[Solid]:
-    """Every obstacle ``‖H r - p_c‖ <= r_o`` as a solid, cut to a field.
-
-    Where H does not look, an obstacle has no end: there it fills the field.
-
-    Args:
-        obstacles: to draw.
-        num_outputs: m.
-        low: one corner of the field, ``(3,)``.
-        high: the opposite corner.
-
-    Returns:
-        One solid for each obstacle.
-    """
-    E = embedding(num_outputs)
-    middle, size = (low + high) / 2, high - low
-    solids = []
-    for H, c, radius in zip(
-        obstacles.shape, obstacles.center, obstacles.radius, strict=True
-    ):
-        H3 = H @ E.T
-        _, values, rows = np.linalg.svd(H3)
-        values = np.append(values, np.zeros(3 - len(values)))
-        free = values < _UNBOUNDED * values[0]
-        directions = rows.T.copy()
-        if free.sum() == 2:
-            # Any basis of the free plane will do: choose an upright one.
-            up = np.cross(directions[:, 0], [0.0, 0.0, 1.0])
-            if np.linalg.norm(up) > 1e-6:
-                directions[:, 1] = up / np.linalg.norm(up)
-                directions[:, 2] = np.cross(directions[:, 0], directions[:, 1])
-        half = np.abs(directions.T) @ size / 2
-        half[~free] = radius / values[~free]
-        center = np.linalg.pinv(H3) @ c
-        center = center + directions[:, free] @ (directions[:, free].T @ middle)
-        rank = int((~free).sum())
-        if rank == 1:  # the bounded direction is the slab's third
-            directions, half = directions[:, [1, 2, 0]], half[[1, 2, 0]]
-        if np.linalg.det(directions) < 0:
-            directions[:, 0] *= -1
-        transform = np.eye(4)
-        transform[:3, :3] = directions * half
-        transform[:3, 3] = center
-        solids.append(Solid(rank, transform))
-    return solids
+) -> list[Solid | Mesh]:
+    """Every obstacle as a solid, cut to a field; see `drawing.solids`."""
+    return solids(obstacles, embedding(num_outputs), low, high)
 
 
 def travel_frames(velocity: FloatArray) -> FloatArray:

@@ -15,6 +15,7 @@ from pydrake.geometry import Box, Cylinder, Ellipsoid, Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 
 from dtmpc_drake.numerics.arrays import FloatArray
+from dtmpc_drake.obstacles.drawing import Mesh
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.visualization.geometry import (
@@ -101,11 +102,10 @@ def field_corners(scenario: Scenario, plan: Plan) -> tuple[FloatArray, FloatArra
     reach = max(2.0, 0.1 * float((high - low).max()))
     bounds = [(low, high)]
     for solid in obstacle_solids(scenario.obstacle_set(), plan.num_outputs, low, high):
-        middle = solid.transform[:3, 3]
-        extent = np.linalg.norm(solid.transform[:3, :3], axis=1)
-        near = (middle - extent < high + reach) & (middle + extent > low - reach)
+        lowest, highest = solid.bounds()
+        near = (lowest < high + reach) & (highest > low - reach)
         if near.all():
-            bounds.append((middle - extent, middle + extent))
+            bounds.append((lowest, highest))
     low = np.min([np.maximum(b[0], low - reach) for b in bounds], axis=0)
     high = np.max([np.minimum(b[1], high + reach) for b in bounds], axis=0)
     air = np.array([0.5, 0.5, 0.0])
@@ -195,6 +195,9 @@ def add_obstacles(
             continue
         path = f"{ROOT}/{look.group}/{i}"
         color = rgba(look.color, look.opacity)
+        if isinstance(solid, Mesh):
+            meshcat.SetTriangleMesh(path, solid.vertices.T, solid.faces.T, color)
+            continue
         meshcat.SetObject(path, primitives[solid.rank], color)
         meshcat.SetTransform(path, solid.transform)
 

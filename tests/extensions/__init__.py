@@ -3,6 +3,6 @@
 Importing it registers them, and so does ``--plugin tests/extensions/__init__.py``.
 """
 
-from . import disturbance, model
+from . import disturbance, model, obstacle
 
-__all__ = ["disturbance", "model"]
+__all__ = ["disturbance", "model", "obstacle"]

@@ -27,6 +27,7 @@ import numpy as np
 
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.obstacles import ObstacleSet
+from dtmpc_drake.obstacles.sections import Section, sections, thinness
 from dtmpc_drake.planning.problem import Problem
 
 LEFT, RIGHT, ABOVE, BELOW, NEITHER = "LRAB-"
@@ -111,11 +112,8 @@ class Frame:
         if m < 2 or length < 1e-6 or not len(obstacles):
             return None
         along = (goal - start) / length
-        H = obstacles.shape
-        thin = np.einsum("oij,oik->ojk", H, H)
-        thin = thin / np.trace(thin, axis1=1, axis2=2)[:, None, None]
         # Among equals the first axes, such as x and y before z.
-        total = thin.sum(axis=0) + 1e-6 * np.diag(np.arange(m, 0, -1.0))
+        total = thinness(obstacles) + 1e-6 * np.diag(np.arange(m, 0, -1.0))
         across = np.eye(m) - np.outer(along, along)
         left = np.linalg.eigh(across @ total @ across)[1][:, -1]
         up = np.zeros(m)
@@ -139,30 +137,6 @@ class Frame:
         return np.asarray((points - self.origin) @ self.plane)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Section:
-    """An obstacle cut by the plane: ``‖shape (q - center)‖ < radius``.
-
-    Attributes:
-        obstacle: its index.
-        center: ``(2,)``.
-        shape: ``(rows, 2)``, of rank 2.
-        radius: in the image of `shape`.
-        heights: over and under the centre where a nominal tube is clear of it, or
-            None if it has no end there.
-    """
-
-    obstacle: int
-    center: Array
-    shape: Array
-    radius: float
-    heights: tuple[float, float] | None
-
-    def reach(self, direction: Array) -> float:
-        """From the centre to the edge along a unit vector, in m."""
-        return float(self.radius / np.linalg.norm(self.shape @ direction))
-
-
 def nominal_tube(problem: Problem) -> Array:
     """Ω at rest with the highest bandwidth and a model without error, ``(m,)``."""
     forcing = problem.law.forcing_of(0.0)
@@ -170,32 +144,16 @@ def nominal_tube(problem: Problem) -> Array:
     return np.asarray(layer / problem.law.slope ** (problem.law.order - 1))
 
 
-def sections(obstacles: ObstacleSet, frame: Frame, tube: Array) -> list[Section]:
+def on_the_way(obstacles: ObstacleSet, frame: Frame, tube: Array) -> list[Section]:
     """What the plane cuts out of the obstacles on the way.
 
     Left out is what the plane misses, and what lies behind the start or beyond
     the goal: there is nothing to choose.
     """
-    inflated = obstacles.radius + np.linalg.norm(obstacles.tube_radii(tube), axis=-1)
-    found = []
-    for i, offset in enumerate(obstacles.offsets(frame.origin)):
-        shape = obstacles.shape[i] @ frame.plane
-        if np.linalg.matrix_rank(shape, tol=1e-6) < 2:
-            continue  # a wall: one cannot pass on its sides
-        center = -np.linalg.pinv(shape) @ offset
-        height = offset + shape @ center
-        square = obstacles.radius[i] ** 2 - float(height @ height)
-        if square <= 0 or not 0 < center[0] < frame.goal[0]:
-            continue
-        heights = None
-        rise = obstacles.shape[i] @ frame.up
-        if np.linalg.norm(rise) > 1e-6:
-            # ‖height + h rise‖ = inflated radius
-            a, b = float(rise @ rise), float(rise @ height)
-            root = np.sqrt(b * b - a * (float(height @ height) - inflated[i] ** 2))
-            heights = (-b + root) / a, (-b - root) / a
-        found.append(Section(i, center, shape, float(np.sqrt(square)), heights))
-    return found
+    cuts = sections(
+        obstacles, origin=frame.origin, plane=frame.plane, up=frame.up, tube=tube
+    )
+    return [cut for cut in cuts if 0 < cut.center[0] < frame.goal[0]]
 
 
 def propose(problem: Problem, count: int) -> list[Way]:
@@ -212,7 +170,7 @@ def propose(problem: Problem, count: int) -> list[Way]:
     start, goal = problem.start[0], problem.goal[0]
     obstacles, tube = problem.obstacles, nominal_tube(problem)
     frame = Frame.of(start, goal, obstacles)
-    cuts = sections(obstacles, frame, tube) if frame is not None else []
+    cuts = on_the_way(obstacles, frame, tube) if frame is not None else []
     if frame is None or not cuts:
         tight = [Way.along(NEITHER * len(obstacles), np.stack([start, goal]))]
     else:
@@ -252,7 +210,7 @@ def sides_of(problem: Problem, way: Way) -> str:
     if frame is None:
         return "".join(letters)
     path = frame.project(way.points)
-    for cut in sections(problem.obstacles, frame, nominal_tube(problem)):
+    for cut in on_the_way(problem.obstacles, frame, nominal_tube(problem)):
         if letters[cut.obstacle] == NEITHER:
             ray = path - cut.center
             turned = np.unwrap(np.arctan2(ray[:, 1], ray[:, 0]))
@@ -384,15 +342,8 @@ def _pushed_out(paths: Array, obstacles: ObstacleSet, tube: Array) -> Array:
     Returns:
         The same shape, with the same ends.
     """
-    inflated = obstacles.radius + np.linalg.norm(obstacles.tube_radii(tube), axis=-1)
     paths = paths.copy()
     for _ in range(ROUNDS):
         paths[:, 1:-1] += (paths[:, :-2] - 2 * paths[:, 1:-1] + paths[:, 2:]) / 4
-        offset = obstacles.offsets(paths[:, 1:-1])
-        distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-9)
-        normal = np.einsum("wkoi,oij->wkoj", offset, obstacles.shape)
-        normal /= distance[..., None]
-        slope = np.maximum((normal**2).sum(axis=-1), 1e-9)
-        depth = np.maximum(inflated - distance, 0.0) / slope
-        paths[:, 1:-1] += np.einsum("wko,wkoj->wkj", depth, normal)
+        paths[:, 1:-1] += obstacles.way_out(paths[:, 1:-1], tube).sum(axis=2)
     return paths

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import ConnectionPatch, Rectangle
 
 from dtmpc_drake.numerics.arrays import FloatArray
+from dtmpc_drake.obstacles.drawing import intervals
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.visualization.figures.cloud import Cloud
@@ -22,7 +23,6 @@ from dtmpc_drake.visualization.figures.view import (
     add_legend,
     colored_line,
 )
-from dtmpc_drake.visualization.geometry import obstacle_intervals
 from dtmpc_drake.visualization.style import (
     BLACK,
     EDGE,
@@ -196,7 +196,7 @@ def _plot_over_time(
     colored_line(axes, line, coloring, 0.8 if many else 3.0)
     axes.margins(x=0.02)
     bottom, top = axes.get_ylim()
-    for low, high in obstacle_intervals(scenario.obstacle_set()):
+    for low, high in intervals(scenario.obstacle_set()):
         axes.axhspan(low, high, fc=GREY, ec=EDGE, lw=0.8, zorder=1)
         if low < 2 * top - bottom and high > 2 * bottom - top:
             bottom, top = min(bottom, low), max(top, high)

@@ -18,10 +18,11 @@ from matplotlib.patches import Patch, PathPatch, Polygon
 from matplotlib.path import Path
 
 from dtmpc_drake.numerics.arrays import FloatArray
+from dtmpc_drake.obstacles.drawing import Outline
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.visualization.figures.cloud import Cloud
-from dtmpc_drake.visualization.geometry import Ellipse, obstacle_sections, swept_boxes
+from dtmpc_drake.visualization.geometry import obstacle_sections, swept_boxes
 from dtmpc_drake.visualization.style import (
     BLACK,
     EDGE,
@@ -58,7 +59,7 @@ class View:
     samples: dict[str, FloatArray]
     order: tuple[int, int]
     coloring: Coloring
-    obstacles: list[tuple[Ellipse | None, Ellipse]]
+    obstacles: list[tuple[Outline | None, Outline]]
     clouds: Sequence[Cloud] = ()
 
     @classmethod
@@ -135,7 +136,10 @@ class View:
         for section, silhouette in self.obstacles:
             outline = self.seen(silhouette.outline())
             filled = outline if section is None else self.seen(section.outline())
-            if section is None or not np.allclose(filled, outline, atol=1e-3):
+            same = filled.shape == outline.shape and np.allclose(
+                filled, outline, atol=1e-3
+            )
+            if section is None or not same:
                 axes.add_patch(
                     Polygon(outline, fill=False, ec=GREY, lw=0.8, ls="--", zorder=3)
                 )
