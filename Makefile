@@ -13,7 +13,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	touch $@
 
 demo: $(VENV)/.installed
-	$(BIN)/python -m dtmpc_drake simulate known_environment
+	$(BIN)/dtmpc simulate known_environment
 
 test: $(VENV)/.installed
 	$(BIN)/python -m pytest -n 2
@@ -25,6 +25,7 @@ check: $(VENV)/.installed
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
 	$(BIN)/python -m mypy
+	$(BIN)/lint-imports --no-logo
 
 format: $(VENV)/.installed
 	$(BIN)/python -m ruff check --fix .
@@ -35,4 +36,4 @@ benchmark: $(VENV)/.installed
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.benchmarks
 
 clean:
-	rm -rf $(VENV) out build *.egg-info
+	rm -rf $(VENV) out build dist *.egg-info .import_linter_cache

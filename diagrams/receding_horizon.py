@@ -1,16 +1,61 @@
-"""The paper's second experiment: obstacles that become known on the way.
+"""The paper's second experiment: pillars become known on the way, plans follow.
 
-Run it with ``python -m diagrams.receding_horizon``.
+Run it with ``python diagrams/receding_horizon.py``.  It is the wiring of
+``known_environment.py`` with a sensor, and a planner that listens to it and to the
+state.
 """
 
-from dtmpc_drake.experiments.simulate import Experiment, run
-from dtmpc_drake.scenario import load_scenario
+from pathlib import Path
 
+from pydrake.common import RandomGenerator
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import LogVectorOutput
 
-def main() -> Experiment:
-    """Runs the experiment; files go to ``out/receding_horizon``."""
-    return run(load_scenario("receding_horizon"))
+import dtmpc_drake as dtmpc
+from dtmpc_drake import systems
+from dtmpc_drake.records.replan import flown_plan, table
 
+scenario = dtmpc.load_scenario("receding_horizon")
+model, start, slope = scenario.model, scenario.start_state(), scenario.slope()
 
-if __name__ == "__main__":
-    print(main())
+builder = DiagramBuilder()
+add, connect = builder.AddNamedSystem, builder.Connect
+sensor = add("sensor", systems.ObstacleSensor(scenario=scenario))
+planner = add("planner", systems.DtmpcPlanner(scenario=scenario))
+tracker = add("tracker", systems.SlidingModeTracker(scenario=scenario))
+plant = add("plant", systems.Plant(model=model, initial_state=start))
+wind = systems.MakeDisturbance(scenario.disturbance, model=model, slope=slope)
+add("wind", wind)
+
+known, state = sensor.GetOutputPort("measured_obstacles"), plant.GetOutputPort("state")
+connect(state, sensor.GetInputPort("state"))
+connect(state, planner.GetInputPort("state"))
+connect(known, planner.GetInputPort("measured_obstacles"))
+connect(state, tracker.GetInputPort("state"))
+connect(planner.GetOutputPort("plan"), tracker.GetInputPort("plan"))
+connect(tracker.GetOutputPort("control"), plant.GetInputPort("control"))
+connect(wind.GetOutputPort("disturbance"), plant.GetInputPort("disturbance"))
+flown = LogVectorOutput(state, builder, 0.02)
+
+simulator = Simulator(builder.Build())
+context = simulator.get_mutable_context()
+simulator.get_system().SetRandomContext(context, RandomGenerator(0))
+simulator.AdvanceTo(scenario.duration)
+
+replans = planner.GetOutputPort("replans").Eval(planner.GetMyContextFromRoot(context))
+since = sensor.GetOutputPort("known_since").Eval(sensor.GetMyContextFromRoot(context))
+log = flown.FindLog(context)
+path = Path("out/diagrams/receding_horizon.html")
+path.parent.mkdir(parents=True, exist_ok=True)
+dtmpc.write_replay(
+    scenario=scenario,
+    plan=flown_plan(replans),
+    time=log.sample_times(),
+    position=log.data()[:3].T,
+    path=path,
+    replans=replans,
+    known_since=since,
+)
+print(table(replans))
+print(f"see {path}")

@@ -1,4 +1,6 @@
-"""The command line: ``python -m dtmpc_drake simulate known_environment``.
+"""The command line: ``dtmpc simulate known_environment``.
+
+``python -m dtmpc_drake`` is the same, also where the package is not installed.
 
 Exit status: 0 certified and simulated, 2 bad input (one line on the standard
 error), 3 infeasible or not certified, or a certified plan that failed in flight.
@@ -24,6 +26,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from dtmpc_drake import __version__
 from dtmpc_drake.errors import ScenarioError
 from dtmpc_drake.plugins import load_plugins
 from dtmpc_drake.scenario import SHIPPED, Scenario, load_scenario, shipped_scenarios
@@ -36,12 +39,34 @@ OPTIONS = ("seed", "trials", "batch-size", "disturbance", "scheduler")
 """Fields of a ScenarioError that are options and no part of a file."""
 
 app = typer.Typer(
-    help="Dynamic tube MPC: plan a trajectory with its tube, and fly it.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+
+
+def _version(wanted: bool) -> None:
+    """Prints the version and ends, if it is asked for."""
+    if wanted:
+        typer.echo(f"dtmpc_drake {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version",
+            callback=_version,
+            is_eager=True,
+            help="Of this package.",
+        ),
+    ] = False,
+) -> None:
+    """Dynamic tube MPC: plan a trajectory with its tube, and fly it."""
+
 
 ScenarioArgument = Annotated[
     str, typer.Argument(help="Name of a shipped scenario, or a YAML file.")
@@ -367,8 +392,8 @@ def _refuse(message: str) -> NoReturn:
 
 
 def main() -> None:
-    """Entry point of the command line."""
-    app(prog_name="python -m dtmpc_drake")
+    """Entry point of ``dtmpc`` and of ``python -m dtmpc_drake``."""
+    app()
 
 
 if __name__ == "__main__":

@@ -88,9 +88,14 @@ class Registry(Generic[T]):
             ScenarioError: that names the class.
         """
         cls = type(value)
-        known = isinstance(value, self.base) and _MARK in vars(cls)
+        known = isinstance(value, self.base) and is_registered(cls)
         allowed = f"one of {', '.join(self.names)}, or registered with @"
         require(field, cls.__name__, known, f"{allowed}{self.decorator}")
+
+
+def is_registered(cls: type) -> bool:
+    """Whether a class itself is registered, of whatever kind."""
+    return _MARK in vars(cls)
 
 
 def registry_of(base: object) -> Registry[Any] | None:

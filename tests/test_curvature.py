@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from dtmpc_drake.planning.scp.layout import Variables
 
 from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.obstacles.normals import tangent_space
@@ -18,7 +19,6 @@ from dtmpc_drake.planning.scp.curvature import (
     rotation_curvature,
     tube_curvature,
 )
-from dtmpc_drake.planning.scp.layout import Variables
 from dtmpc_drake.planning.scp.linearise import (
     INPUT_SCALE,
     Program,

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from dtmpc_drake.planning.scp.layout import Variables
 
 from dtmpc_drake.models import DragDoubleIntegrator
 from dtmpc_drake.obstacles import Cylinder, Sphere
 from dtmpc_drake.obstacles.normals import separating_normals, tangent_space
 from dtmpc_drake.planning import Problem, certify, plan, plan_problem, planner
 from dtmpc_drake.planning.scp.clarabel import borrowed
-from dtmpc_drake.planning.scp.layout import Variables
 from dtmpc_drake.planning.scp.linearise import (
     Program,
     Shape,

@@ -10,7 +10,7 @@ import pytest
 
 from dtmpc_drake.diagrams import Simulate
 from dtmpc_drake.errors import ScenarioError
-from dtmpc_drake.experiments.random_fields import SEEDS, compare, random_field
+from dtmpc_drake.experiments.random_fields import SEEDS, plan_fields, random_field
 from dtmpc_drake.experiments.simulate import CANDIDATES, run
 from dtmpc_drake.method.tube import TubeStart
 from dtmpc_drake.models import IntegratorChain, register_model
@@ -419,7 +419,7 @@ def test_a_run_writes_the_table_and_the_figure(tmp_path):
 
 @pytest.mark.slow
 def test_more_random_fields_are_solved_than_from_the_straight_line():
-    found = compare(SEEDS)
+    found = plan_fields(SEEDS)
     straight = {c.seed for c in found if c.straight.certified}
     search = {c.seed for c in found if c.search.certified}
     assert len(found) == 30

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from dtmpc_drake.planning.scp.slopes import feedforward_slopes, limit_slopes
 
 from dtmpc_drake.numerics.arrays import Array, jacobian
 from dtmpc_drake.numerics.differences import differences
-from dtmpc_drake.planning.scp.slopes import feedforward_slopes, limit_slopes
 from dtmpc_drake.planning.transcription import Local, Transcription
 from tests.models_for_tests import every_model, make_problem, name_of
 

@@ -18,8 +18,7 @@ from dtmpc_drake.experiments.monte_carlo import (
     choose_disturbances,
     fly_all,
 )
-from dtmpc_drake.experiments.outputs import placed, replacing
-from dtmpc_drake.experiments.simulate import write_json
+from dtmpc_drake.experiments.outputs import placed, replacing, write_json
 from dtmpc_drake.experiments.spread import batches
 from dtmpc_drake.experiments.tables import text_table
 from dtmpc_drake.planning.baselines import (

@@ -10,8 +10,8 @@ from typing import Any
 from dtmpc_drake.diagrams import FlyTrials, draw_trials
 from dtmpc_drake.disturbances import DISTURBANCES, Disturbance
 from dtmpc_drake.errors import require
-from dtmpc_drake.experiments.outputs import placed, replacing
-from dtmpc_drake.experiments.simulate import color_of, summarize, write_json
+from dtmpc_drake.experiments.outputs import placed, replacing, write_json
+from dtmpc_drake.experiments.simulate import color_of, summarize
 from dtmpc_drake.experiments.spread import batches, spread
 from dtmpc_drake.experiments.tables import text_table
 from dtmpc_drake.planning import plan
@@ -223,7 +223,7 @@ def run(
     """Plans once, flies the plan many times, and writes `OUTPUTS`.
 
     Without a certified plan nothing is flown and only ``summary.json`` written.  All
-    files take their places at the end; see `dtmpc_drake.experiments.outputs.replacing`.
+    files take their places at the end; see `outputs.replacing`.
 
     Args:
         scenario: the whole experiment; its seed decides every trial.

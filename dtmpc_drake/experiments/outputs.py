@@ -1,12 +1,17 @@
-"""Output files that replace those of an earlier run all at once, or not at all."""
+"""Output files: numbers as JSON, and files that take their places all or none."""
 
 from __future__ import annotations
 
 import contextlib
+import json
+import math
 import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 
 @contextlib.contextmanager
@@ -92,3 +97,27 @@ def _first_free(out: Path) -> Path:
 def placed(files: Sequence[Path], work: Path, out: Path) -> tuple[Path, ...]:
     """The paths of files in their places, from those where they were written."""
     return tuple(out / path.relative_to(work) for path in files)
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Writes plain numbers and texts; what is not finite becomes null.
+
+    Raises:
+        OSError: if the file cannot be written.
+    """
+    text = json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def plain(value: Any) -> Any:
+    """The same for JSON, which has no infinity and knows no NumPy."""
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [plain(item) for item in value]
+    if isinstance(value, (bool, str)) or value is None:
+        return value
+    if isinstance(value, int):
+        return value
+    number = float(value)
+    return number if math.isfinite(number) else None

@@ -1,7 +1,6 @@
-"""Which side of each obstacle: starts from the straight line and from all sides.
+"""Random fields, each planned from both initial guesses.
 
-``python -m diagrams.which_side`` runs the scenario ``best_side`` and then compares
-both initial guesses on thirty random fields, which takes a minute or two.
+How many does the straight line certify, and how many the search for the best sides?
 """
 
 from __future__ import annotations
@@ -11,12 +10,11 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from dtmpc_drake.experiments.simulate import run
 from dtmpc_drake.experiments.spread import spread
 from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.planning import plan
 from dtmpc_drake.records.result import PlanningResult
-from dtmpc_drake.scenario import Planner, Scenario, Waypoint, load_scenario
+from dtmpc_drake.scenario import Planner, Scenario, Waypoint
 
 SEEDS = range(30)
 
@@ -39,7 +37,7 @@ def random_field(seed: int) -> Scenario:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Comparison:
+class FieldPlans:
     """One field, planned from both initial guesses.
 
     Attributes:
@@ -64,32 +62,19 @@ class Comparison:
         return f"field {self.seed:2d}  " + "  ".join(parts)
 
 
-def compare_one(seed: int) -> Comparison:
+def plan_field(seed: int) -> FieldPlans:
     """Plans one random field from both initial guesses."""
     results = []
     for guess in ("straight_line", "best_side"):
         scenario = random_field(seed)
         scenario.planner.initial_guess = guess
         results.append(plan(scenario))
-    return Comparison(seed, *results)
+    return FieldPlans(seed, *results)
 
 
-def compare(seeds: Iterable[int]) -> list[Comparison]:
-    """Plans random fields from both initial guesses, one worker process a core."""
-    return spread(compare_one, list(seeds))
+def plan_fields(seeds: Iterable[int]) -> list[FieldPlans]:
+    """Plans random fields from both initial guesses, one worker process a core.
 
-
-def main() -> None:
-    """Runs the experiment; files go to ``out/best_side``."""
-    print(run(load_scenario("best_side")))
-    print("\nrandom fields    straight line            best side")
-    found = compare(SEEDS)
-    for comparison in found:
-        print(comparison)
-    straight = sum(c.straight.certified for c in found)
-    search = sum(c.search.certified for c in found)
-    print(f"certified        {straight} of {len(found)}{'':16}{search} of {len(found)}")
-
-
-if __name__ == "__main__":
-    main()
+    A script that calls this must guard its main part; see `spread`.
+    """
+    return spread(plan_field, list(seeds))

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import json
-import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from dtmpc_drake.diagrams import Simulate
 from dtmpc_drake.diagrams.simulate import Progress
-from dtmpc_drake.experiments.outputs import placed, replacing
+from dtmpc_drake.experiments.outputs import placed, plain, replacing, write_json
 from dtmpc_drake.planning import plan
 from dtmpc_drake.records.flight import Flight
 from dtmpc_drake.records.replan import counted, table
@@ -265,29 +261,5 @@ def summarize(
         "known_since": log.known_since if log is not None else None,
         "replans": [r.summary() for r in log.replans] if log is not None else None,
     }
-    cleaned: dict[str, Any] = _finite(summary)
+    cleaned: dict[str, Any] = plain(summary)
     return cleaned
-
-
-def write_json(path: Path, value: Any) -> None:
-    """Writes plain numbers and texts; what is not finite becomes null.
-
-    Raises:
-        OSError: if the file cannot be written.
-    """
-    text = json.dumps(_finite(value), indent=2, ensure_ascii=False, allow_nan=False)
-    path.write_text(text + "\n", encoding="utf-8")
-
-
-def _finite(value: Any) -> Any:
-    """JSON has no infinity and knows no NumPy."""
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [_finite(item) for item in value]
-    if isinstance(value, (bool, str)) or value is None:
-        return value
-    if isinstance(value, int):
-        return value
-    number = float(value)
-    return number if math.isfinite(number) else None

@@ -18,9 +18,6 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-# Spreading.
-
-
 def batches(count: int, size: int) -> list[range]:
     """The numbers of `count` trials in batches; the last may be smaller.
 

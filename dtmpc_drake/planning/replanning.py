@@ -20,7 +20,7 @@ from dtmpc_drake.planning.planner import plan_problem
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.planning.proof.certify import clearance_ahead
 from dtmpc_drake.records.plan import Plan
-from dtmpc_drake.records.replan import Decision, Outcome
+from dtmpc_drake.records.replan import Decision, ReplanStatus
 from dtmpc_drake.records.result import PlanningResult
 from dtmpc_drake.scenario import Scenario
 
@@ -313,7 +313,7 @@ class _Tries:
         """Convex programs of all tries."""
         return sum(len(result.history) for result in self._results)
 
-    def decision(self, status: Outcome, message: str = "") -> Decision:
+    def decision(self, status: ReplanStatus, message: str = "") -> Decision:
         """To fly the latest plan."""
         message = message or self.last.message
         return Decision(

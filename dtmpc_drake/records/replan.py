@@ -11,7 +11,7 @@ import numpy as np
 
 from dtmpc_drake.records.plan import Plan, join
 
-Outcome = Literal["certified", "kept", "braking", "unsafe", "given"]
+ReplanStatus = Literal["certified", "kept", "braking", "unsafe", "given"]
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -152,7 +152,7 @@ class Decision:
         iterations: convex programs that were solved, whatever came of them.
     """
 
-    status: Outcome
+    status: ReplanStatus
     message: str
     plan: Plan | None
     cost: float | None

@@ -13,11 +13,11 @@ from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.records import verdict
 from dtmpc_drake.records.archive import read_array
 from dtmpc_drake.records.plan import Plan
-from dtmpc_drake.records.replan import Outcome, Replan
+from dtmpc_drake.records.replan import Replan, ReplanStatus
 from dtmpc_drake.records.result import Status
 
 _TEXTS = ("status", "replans")
-_STATUSES = {*get_args(Status), *get_args(Outcome), "not planned yet"}
+_STATUSES = {*get_args(Status), *get_args(ReplanStatus), "not planned yet"}
 _NUMBER = (int, float)
 _REPLAN: dict[str, tuple[type, ...]] = {
     "time": _NUMBER,

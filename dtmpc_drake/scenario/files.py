@@ -13,12 +13,10 @@ from typing import Any
 
 import yaml
 
-from dtmpc_drake.disturbances import DISTURBANCES
 from dtmpc_drake.errors import ScenarioError, require
-from dtmpc_drake.models import MODELS
-from dtmpc_drake.obstacles import OBSTACLES
+from dtmpc_drake.registry import is_registered
 from dtmpc_drake.scenario.check import validate_values
-from dtmpc_drake.scenario.schema import Scenario
+from dtmpc_drake.scenario.schema import Scenario, SolverOptions
 from dtmpc_drake.scenario.text import read_text, read_yaml
 from dtmpc_drake.scenario.typed import is_writable, typed
 
@@ -81,6 +79,8 @@ def to_yaml(scenario: Scenario) -> str:
     checked: Scenario = typed(Scenario, scenario, "")
     parts = {"model": checked.model, "disturbance": checked.disturbance}
     parts |= {f"obstacles[{i}]": one for i, one in enumerate(checked.obstacles)}
+    parts |= {f"limits.own[{i}]": one for i, one in enumerate(checked.limits.own)}
+    parts |= {f"cost.own[{i}]": one for i, one in enumerate(checked.cost.own)}
     for field, part in parts.items():
         cls = type(part)
         why = "a dataclass: no file can hold another class"
@@ -91,7 +91,7 @@ def to_yaml(scenario: Scenario) -> str:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes dataclasses as their fields, without those that are None if left out."""
+    """Writes dataclasses as their fields, without those that say nothing."""
 
     def represent_data(self, data: Any) -> yaml.Node:
         """See base class."""
@@ -100,10 +100,11 @@ class _Dumper(yaml.SafeDumper):
         given = {}
         for field in dataclasses.fields(data):
             value = getattr(data, field.name)
-            if field.init and not (value is None and field.default is None):
+            left_out = value is None and field.default is None
+            left_out |= value == [] or value == SolverOptions()
+            if field.init and not left_out:
                 given[field.name] = value
-        bases = (MODELS.base, OBSTACLES.base, DISTURBANCES.base)
-        tag = f"!{type(data).__name__}" if isinstance(data, bases) else _PLAIN
+        tag = f"!{type(data).__name__}" if is_registered(type(data)) else _PLAIN
         return self.represent_mapping(tag, given)
 
     def represent_sequence(self, tag: Any, items: Any, flow_style: Any = None) -> Any:
