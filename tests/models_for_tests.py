@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from dtmpc_drake.costs import BandwidthCost, InputCost
+from dtmpc_drake.limits import BandwidthLimit, InputLimit, SpeedLimit
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.tube import TubeStart
 from dtmpc_drake.models import (
@@ -200,20 +202,17 @@ def make_problem(model: Model, **changes: Any) -> Problem:
     defaults: dict[str, Any] = {
         "law": SlidingLaw(model, np.full(m, 2.0), np.full(m, 0.3), 0.1),
         "obstacles": ObstacleSet.stack([], m),
-        "bandwidth_min": np.full(m, 0.5),
-        "bandwidth_max": np.full(m, 4.0),
-        "bandwidth_rate_max": 2.0,
-        "bandwidth_floor": 0.5,
-        "input_limit": 12.0,
-        "speed_limit": 4.0,
-        "input_weight": 2.0,
-        "bandwidth_weight": 0.1,
+        "tube_margin": "norm",
+        "input": InputLimit(12.0),
+        "speed": SpeedLimit(4.0),
+        "bandwidth": BandwidthLimit(np.full(m, 0.5), np.full(m, 4.0), 2.0),
+        "costs": (InputCost(2.0),),
+        "bandwidth_cost": BandwidthCost(0.1, 0.5),
         "start_time": 0.0,
         "duration": 6.0,
         "start": np.zeros((n, m)),
         "goal": goal,
         "tube_start": TubeStart(np.zeros((n, m)), np.zeros(m)),
-        "tube_margin": "norm",
         "velocity_bound": "comparison",
     }
     start = {"initial_error": np.zeros((n, m)), "layer": np.full(m, 0.3)}
@@ -221,20 +220,41 @@ def make_problem(model: Model, **changes: Any) -> Problem:
 
 
 def changed_problem(problem: Problem, **changes: Any) -> Problem:
-    """The same with other fields: its own, those of its law, or of its tube's start.
+    """The same with other fields: its own, those of its parts, or of its tube's start.
 
     The latter are `initial_error`, ``(n, m)``, or bounds of it, and `layer`, ``(m,)``.
     """
-    law = problem.law
-    of_law = {f.name for f in dataclasses.fields(law)} & set(changes)
-    law = dataclasses.replace(law, **{name: changes.pop(name) for name in of_law})
+
+    def replaced(part: Any, **names: str) -> Any:
+        given = {of: changes.pop(name) for of, name in names.items() if name in changes}
+        return dataclasses.replace(part, **given)
+
+    law = replaced(
+        problem.law,
+        model="model",
+        slope="slope",
+        disturbance_bound="disturbance_bound",
+        reaching_rate="reaching_rate",
+    )
+    parts = {
+        "law": law,
+        "input": replaced(problem.input, bound="input_limit"),
+        "speed": replaced(problem.speed, bound="speed_limit"),
+        "bandwidth": replaced(
+            problem.bandwidth,
+            low="bandwidth_min",
+            high="bandwidth_max",
+            rate="bandwidth_rate_max",
+        ),
+        "bandwidth_cost": replaced(problem.bandwidth_cost, weight="bandwidth_weight"),
+    }
     start = problem.tube_start
     layer = changes.pop("layer", start.layer)
     if "initial_error" in changes:
         start = TubeStart.of_error(changes.pop("initial_error"), layer, law.slope)
     stages = np.concatenate([start.stages[:-1], np.asarray(layer)[None]])
-    start = TubeStart(stages, start.highest)
-    return dataclasses.replace(problem, **({"law": law, "tube_start": start} | changes))
+    parts["tube_start"] = TubeStart(stages, start.highest)
+    return dataclasses.replace(problem, **(parts | changes))
 
 
 Signal = Callable[[float], Array]

@@ -80,8 +80,8 @@ def test_each_baseline_lacks_one_thing() -> None:
     assert list(baselines) == list(TITLES)
     whole = Problem.from_scenario(short())
     same = baselines["both"].problem
-    np.testing.assert_array_equal(same.bandwidth_min, whole.bandwidth_min)
-    np.testing.assert_array_equal(same.bandwidth_max, whole.bandwidth_max)
+    np.testing.assert_array_equal(same.bandwidth.low, whole.bandwidth.low)
+    np.testing.assert_array_equal(same.bandwidth.high, whole.bandwidth.high)
     assert same.model == whole.model
     for name, fixed, constant in (
         ("rigid_tube", True, True),
@@ -91,7 +91,7 @@ def test_each_baseline_lacks_one_thing() -> None:
         ("both_paper", False, False),
     ):
         problem = baselines[name].problem
-        assert problem.bandwidth_is_fixed == fixed
+        assert problem.bandwidth.is_fixed == fixed
         assert isinstance(problem.model, ConstantUncertainty) == constant
         np.testing.assert_array_equal(problem.law.disturbance_bound, 0.3)
         assert problem.velocity_bound == (
@@ -110,8 +110,8 @@ def test_a_scenario_s_own_fixed_bandwidth_bounds_no_baseline() -> None:
         assert baselines[name].fixed_bandwidth == 4.0  # where a sweep begins
     both = baselines["both"]
     assert both.fixed_bandwidth is None
-    np.testing.assert_array_equal(both.problem.bandwidth_min, 0.5)
-    np.testing.assert_array_equal(both.problem.bandwidth_max, 4.0)
+    np.testing.assert_array_equal(both.problem.bandwidth.low, 0.5)
+    np.testing.assert_array_equal(both.problem.bandwidth.high, 4.0)
 
 
 def best_of(baseline: Baseline, bandwidths: Iterable[float]) -> float:

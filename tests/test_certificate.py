@@ -143,10 +143,10 @@ def test_every_margin_is_below_a_dense_sample_of_it_and_near(result, problem):
     speed = np.abs(reference[:, 1]) + rate_bound(problem.law, at)
     used = input_bound(problem.law, at)
     dense = {
-        "speed": problem.speed_limit - speed.max(),
-        "input": problem.input_limit - used.max(),
-        "bandwidth_min": (bandwidth - problem.bandwidth_min).min(),
-        "bandwidth_max": (problem.bandwidth_max - bandwidth).min(),
+        "speed": problem.speed.bound - speed.max(),
+        "input": problem.input.bound - used.max(),
+        "bandwidth_min": (bandwidth - problem.bandwidth.low).min(),
+        "bandwidth_max": (problem.bandwidth.high - bandwidth).min(),
         "boundary_layer": plan.boundary_layer(time).min(),
     }
     for name, value in dense.items():

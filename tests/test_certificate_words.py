@@ -120,14 +120,24 @@ LIMITS = {
 def test_a_limit_that_is_not_a_number_is_a_broken_one(
     known_result, known_problem, field
 ):
-    at_rest = {"layer": np.full(3, 0.3), "initial_error": np.zeros((2, 3))}
-    problem = known_problem
-    of = problem.law if hasattr(problem.law, field) else problem
-    value = at_rest[field] if field in at_rest else getattr(of, field)
+    law, bandwidth = known_problem.law, known_problem.bandwidth
+    own = {
+        "input_limit": known_problem.input.bound,
+        "speed_limit": known_problem.speed.bound,
+        "bandwidth_min": bandwidth.low,
+        "bandwidth_max": bandwidth.high,
+        "bandwidth_rate_max": bandwidth.rate,
+        "slope": law.slope,
+        "disturbance_bound": law.disturbance_bound,
+        "reaching_rate": law.reaching_rate,
+        "layer": known_problem.tube_start.layer,
+        "initial_error": np.zeros((2, 3)),
+    }
+    value = own[field] if field in own else getattr(known_problem, field)
     poisoned = np.array(value, dtype=float)
     poisoned.flat[0] = np.nan
     problem = changed_problem(
-        problem,
+        known_problem,
         **{field: poisoned if isinstance(value, np.ndarray) else math.nan},
     )
     certificate = certify(known_result.plan, problem)
@@ -474,10 +484,10 @@ def dense_complaints(plan: Plan, problem: Problem) -> list[str]:
     hair = 1e-6
     checks = {
         "obstacles": (clear - obstacles.radius).min(),
-        "speed": problem.speed_limit - speed.max(),
-        "input": problem.input_limit - used.max(),
-        "bandwidth_min": (alpha - problem.bandwidth_min).min(),
-        "bandwidth_max": (problem.bandwidth_max - alpha).min(),
+        "speed": problem.speed.bound - speed.max(),
+        "input": problem.input.bound - used.max(),
+        "bandwidth_min": (alpha - problem.bandwidth.low).min(),
+        "bandwidth_max": (problem.bandwidth.high - alpha).min(),
         "layer": layer.min(),
         "start": 1e-5 - np.abs(y[0, :2] - problem.start).max(),
         "goal": 1e-5 - np.abs(y[-1, :2] - problem.goal).max(),

@@ -6,29 +6,32 @@ import dataclasses
 
 import numpy as np
 import pytest
-from dtmpc_drake.planning.scp.layout import Variables
 
+from dtmpc_drake.limits import InputLimit
 from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.obstacles.normals import tangent_space
 from dtmpc_drake.planning import Problem, plan
+from dtmpc_drake.planning.layout import Variables
 from dtmpc_drake.planning.scp.clarabel import borrowed
 from dtmpc_drake.planning.scp.curvature import (
     LOSS,
     Multipliers,
-    input_curvature,
     rotation_curvature,
+    sampled_curvature,
     tube_curvature,
 )
 from dtmpc_drake.planning.scp.linearise import (
-    INPUT_SCALE,
     Program,
     Shape,
     _needed,
     kinked_coordinates,
+    program_layout,
 )
 from dtmpc_drake.planning.scp.sensitivity import transitions
+from dtmpc_drake.planning.starts import straight_line
 from dtmpc_drake.planning.transcription import Transcription
 from dtmpc_drake.scenario import Planner, Scenario, Waypoint, load_scenario
+from tests.models_for_tests import changed_problem
 
 
 @pytest.fixture(scope="module")
@@ -36,15 +39,14 @@ def around():
     """An iterate beside obstacles, the programs' variables, and random prices."""
     tr = Transcription(Problem.from_scenario(load_scenario("unknown_drag")), 28)
     wiggle = 0.3 * np.sin(np.arange(29 + 2)[:, None] + np.arange(3))
-    coefficients, bandwidth = tr.straight_line()
-    iterate = tr.evaluate(tr.with_ends(coefficients + wiggle), bandwidth)
-    variables = Variables(
-        tr, planes=len(iterate.planes.piece), kinked=kinked_coordinates(tr)
-    )
+    coefficients, bandwidth = straight_line(tr)
+    iterate = tr.evaluate(tr.ends.met_by(coefficients + wiggle), bandwidth)
+    variables = Variables(tr, planes=len(iterate.planes), kinked=kinked_coordinates(tr))
     random = np.random.default_rng(2)
-    none = Multipliers.none(tr)
+    none = Multipliers.none(tr, iterate)
     prices = Multipliers(
-        random.uniform(0, 1, none.planes.shape), random.uniform(0, 1, none.input.shape)
+        random.uniform(0, 1, none.planes.shape),
+        tuple(random.uniform(0, 1, own.shape) for own in none.sampled),
     )
     return tr, iterate, variables, prices
 
@@ -55,9 +57,11 @@ def second_difference(function, step: float) -> float:
 
 def test_the_inputs_curvature_is_that_of_its_norm(around):
     tr, iterate, _, prices = around
-    hessian = input_curvature(tr, iterate, prices)
+    hessian = sampled_curvature(tr, iterate, prices)
     random = np.random.default_rng(3)
-    nodes = np.arange(len(prices.input) - 1)
+    (price,) = prices.sampled
+    price = price[:, 0]
+    nodes = np.arange(len(price) - 1)
     piece, _ = tr.within(nodes)
     for chosen in (0, 9, tr.intervals - 1):
         move = random.normal(size=(tr.degree + 1, tr.outputs))
@@ -66,7 +70,7 @@ def test_the_inputs_curvature_is_that_of_its_norm(around):
 
         def priced(t: float, here=here, by=by) -> float:
             highest = iterate.reference[2 * here, tr.order] + t * by
-            return prices.input[here] @ np.linalg.norm(highest, axis=1)
+            return price[here] @ np.linalg.norm(highest, axis=1)
 
         curve = second_difference(priced, 1e-4)
         flat = move.ravel()
@@ -113,11 +117,13 @@ def test_a_turned_half_plane_loses_what_is_priced(around):
 
 def test_prices_are_shared_by_the_rows_of_a_finer_grid(around):
     tr, _, _, prices = around
-    finer = prices.refined(Transcription(tr.problem, 2 * tr.intervals))
+    twice = Transcription(tr.problem, 2 * tr.intervals)
+    finer = prices.refined(twice, twice.evaluate(*straight_line(twice)))
     assert finer.planes.sum() == pytest.approx(prices.planes.sum())
-    assert finer.input[:-1].sum() == pytest.approx(prices.input[:-1].sum())
-    at = finer.input[:-1].reshape(tr.intervals, -1).sum(axis=1)
-    before = prices.input[:-1].reshape(tr.intervals, -1).sum(axis=1)
+    (own,), (input_prices,) = finer.sampled, prices.sampled
+    assert own[:-1].sum() == pytest.approx(input_prices[:-1].sum())
+    at = own[:-1].reshape(tr.intervals, -1).sum(axis=1)
+    before = input_prices[:-1].reshape(tr.intervals, -1).sum(axis=1)
     np.testing.assert_allclose(at, before)
 
 
@@ -151,35 +157,39 @@ def test_steps_through_the_inputs_apex_keep_their_promise():
     scenario = straight_cruise(6.0)
     scenario.model.drag_error_bound = 0.0  # so that the tube stays as it is
     tr = Transcription(Problem.from_scenario(scenario), 40)
-    start = tr.straight_line()
+    start = straight_line(tr)
     middle = slice(10 * tr.tube_steps, 30 * tr.tube_steps)
-    used = tr.problem.input_limit - tr.evaluate(*start).input_margin[middle]
-    tr = Transcription(
-        dataclasses.replace(tr.problem, input_limit=float(used.max()) + 0.02), 40
-    )
+    used = tr.problem.input.bound - tr.evaluate(*start).sampled[0][middle]
+    limit = float(used.max()) + 0.02
+    tr = Transcription(changed_problem(tr.problem, input_limit=limit), 40)
     base = tr.evaluate(*start)
     variables = Variables(tr, planes=len(base.planes.piece), kinked=np.zeros(0, int))
     z = np.zeros(variables.size)
     wiggle = 0.03 * np.sin(np.arange(20)[:, None] + np.array([0.0, 1.0, 2.0]))
     first = variables.blocks["coefficients"].start + 11 * 3
     z[first : first + wiggle.size] = wiggle.ravel()
-    with borrowed(variables.layout) as solver:
-        program = Program(tr, variables, solver, accuracy=1e-6)
-        program.update(base, Shape(secant=1e-3))
+    with borrowed(program_layout(tr, variables)) as solver:
+        program = Program(
+            tr, variables, solver, Multipliers.none(tr, base), accuracy=1e-6
+        )
+        program.update(base, Shape(1e3, 1e-3))
     reached = tr.evaluate(start[0] + z[: start[0].size].reshape(-1, 3), start[1])
     promised, _ = program.margins_after(z, reached)
 
-    nodes, cuts = program._input_nodes, program._cuts[0]
+    (block,) = program._sampled
+    nodes, cuts = block.nodes, block._facets.place
     lowest = promised[: len(nodes)].copy()
     np.minimum.at(lowest, cuts, promised[len(nodes) : len(nodes) + len(cuts)])
     size = np.linalg.norm(reached.reference[2 * nodes, tr.order], axis=1)
     inside = (nodes > middle.start) & (nodes < middle.stop)
     inside &= (nodes % tr.tube_steps == 0) & (size > 0.05)
     assert inside.sum() > 10
-    actual = reached.input_margin[nodes] / INPUT_SCALE
+    actual = reached.sampled[0][nodes, 0] / InputLimit.scale
     # Six directions see at least 1/sqrt(3) of a norm; one alone may miss all of it.
-    missed = ((lowest - actual) * INPUT_SCALE)[inside] / size[inside]
-    alone = ((promised[: len(nodes)] - actual) * INPUT_SCALE)[inside] / size[inside]
+    missed = ((lowest - actual) * InputLimit.scale)[inside] / size[inside]
+    alone = ((promised[: len(nodes)] - actual) * InputLimit.scale)[inside] / size[
+        inside
+    ]
     assert missed.max() < 1 - 1 / np.sqrt(3) + 0.05
     assert alone.max() > 0.9
 
@@ -197,14 +207,16 @@ def test_turning_half_planes_are_predicted_to_first_order(tube_margin):
     scenario.planner.tube_margin = tube_margin
     tr = Transcription(Problem.from_scenario(scenario), 28)
     wiggle = 0.3 * np.sin(np.arange(29 + 2)[:, None] + np.arange(3))
-    coefficients, bandwidth = tr.straight_line()
-    base = tr.evaluate(tr.with_ends(coefficients + wiggle), bandwidth)
+    coefficients, bandwidth = straight_line(tr)
+    base = tr.evaluate(tr.ends.met_by(coefficients + wiggle), bandwidth)
     variables = Variables(tr, planes=len(base.planes.piece), kinked=np.zeros(0, int))
     z = np.zeros(variables.size)
     z[variables.blocks["rotation"]] = 1e-3
-    with borrowed(variables.layout) as solver:
-        program = Program(tr, variables, solver, accuracy=1e-6)
-        program.update(base, Shape())
+    with borrowed(program_layout(tr, variables)) as solver:
+        program = Program(
+            tr, variables, solver, Multipliers.none(tr, base), accuracy=1e-6
+        )
+        program.update(base, Shape(1e3, 0.1))
     promised, actual = program.margins_after(z, base)
     assert len(base.planes.piece) > 20
     assert np.abs(promised - program.margins_now).max() > 5e-4
@@ -218,9 +230,9 @@ def test_the_tube_answers_along_each_piece_as_predicted(slope):
     scenario.controller.slope = [slope] * 3
     tr = Transcription(Problem.from_scenario(scenario), 28)
     assert tr.is_stiff == (slope > 10)
-    coefficients, bandwidth = tr.straight_line()
+    coefficients, bandwidth = straight_line(tr)
     wave = np.sin(np.arange(len(coefficients))[:, None] + np.arange(3))
-    coefficients = tr.with_ends(coefficients + 0.02 * wave)
+    coefficients = tr.ends.met_by(coefficients + 0.02 * wave)
     bandwidth = bandwidth - 1.0
     base = tr.evaluate(coefficients, bandwidth)
     sensitivity = transitions(tr, base, secant=1e-6)
@@ -246,9 +258,9 @@ def test_a_steps_own_half_planes_are_kept_where_they_part_more():
     scenario = load_scenario("known_environment")
     scenario.planner.tube_margin = "support"
     tr = Transcription(Problem.from_scenario(scenario), 28)
-    coefficients, bandwidth = tr.straight_line()
+    coefficients, bandwidth = straight_line(tr)
     wiggle = 0.3 * np.sin(np.arange(len(coefficients))[:, None] + np.arange(3))
-    decisions = tr.with_ends(coefficients + wiggle), bandwidth
+    decisions = tr.ends.met_by(coefficients + wiggle), bandwidth
     found = tr.evaluate(*decisions).planes
     random = np.random.default_rng(5)
     turned = found.normal + 0.05 * random.normal(size=found.normal.shape)

@@ -15,9 +15,10 @@ from dtmpc_drake.obstacles.normals import turned
 from dtmpc_drake.planning import plan, plan_problem
 from dtmpc_drake.planning.ipopt import solver as nlp
 from dtmpc_drake.planning.ipopt.rows import ROUNDING, rounded
+from dtmpc_drake.planning.starts import straight_line
 from dtmpc_drake.planning.transcription import Transcription
 from dtmpc_drake.scenario import Planner, load_scenario
-from tests.models_for_tests import every_model, make_problem, name_of
+from tests.models_for_tests import changed_problem, every_model, make_problem, name_of
 
 GOOD = ("Success", "Stop at acceptable point")
 
@@ -32,7 +33,7 @@ def obstructed(model, **changes):
 def near_the_start(problem, intervals=6):
     """A program, and values of its variables away from any symmetry."""
     transcription = Transcription(problem, intervals)
-    guess = transcription.evaluate(*transcription.straight_line())
+    guess = transcription.evaluate(*straight_line(transcription))
     correction = 0.01 * np.ones_like(transcription.tube_states(guess))
     program = nlp._Program(transcription, guess, correction)
     x = program.program.GetInitialGuess(program.x)
@@ -73,7 +74,7 @@ def test_the_layout_holds_an_iterate():
     """What is linear in z, such as the ends, holds where a plan starts."""
     problem = obstructed(DragDoubleIntegrator())
     transcription = Transcription(problem, 8)
-    guess = transcription.evaluate(*transcription.straight_line())
+    guess = transcription.evaluate(*straight_line(transcription))
     program = nlp._Program(transcription, guess, 0 * transcription.tube_states(guess))
     for binding in program.program.linear_constraints():
         evaluator = binding.evaluator()
@@ -183,15 +184,13 @@ def test_a_kink_is_rounded_off_from_above_and_odd_functions_are_left_alone():
 def test_both_backends_look_at_the_speed_in_parts_of_its_limit():
     """Not in m/s: a limit ten times as high is near ten times as early."""
     problem = make_problem(IntegratorChain(2, 2, 0.1))
-    fast = dataclasses.replace(problem, speed_limit=10 * problem.speed_limit)
+    fast = changed_problem(problem, speed_limit=10 * problem.speed.bound)
     for each in (problem, fast):
         tr = Transcription(each, 16)
-        iterate = tr.evaluate(*tr.straight_line())
-        room = np.linspace(0, each.speed_limit, iterate.speed_margin.size)
-        margin = room.reshape(iterate.speed_margin.shape)
-        near = tr.near_the_speed_limit(
-            dataclasses.replace(iterate, speed_margin=margin)
-        )
-        allowed = margin[near].max() / each.speed_limit
+        iterate = tr.evaluate(*straight_line(tr))
+        room = np.linspace(0, each.speed.bound, iterate.linear[0].size)
+        margin = room.reshape(iterate.linear[0].shape)
+        (near,) = tr.near_linear(dataclasses.replace(iterate, linear=[margin]))
+        allowed = margin[near].max() / each.speed.bound
         assert 0.2 < allowed < 0.3
         assert not near[1:, 0].any() and near[0, 0].any()

@@ -15,7 +15,7 @@ from dtmpc_drake.obstacles import (
     Obstacle,
     ObstacleSet,
     Sphere,
-    obstacle_kind,
+    register_obstacle,
 )
 from dtmpc_drake.obstacles.separation import Turning, separate
 from dtmpc_drake.planning import plan
@@ -35,7 +35,7 @@ KINDS = [
 ]
 
 
-@obstacle_kind
+@register_obstacle
 @dataclasses.dataclass
 class OwnSphere(Obstacle):
     """A ball by its surface, whose core is no point."""
@@ -55,7 +55,7 @@ class OwnSphere(Obstacle):
         )
 
 
-@obstacle_kind
+@register_obstacle
 @dataclasses.dataclass
 class Capsule(Obstacle):
     """All that is nearer than the radius to the line between two points."""
@@ -76,7 +76,7 @@ class Capsule(Obstacle):
         return self.radius
 
 
-@obstacle_kind
+@register_obstacle
 @dataclasses.dataclass
 class Wall(Obstacle):
     """All that is at most one metre behind a plane: it sees one direction only."""
@@ -396,7 +396,7 @@ def test_cores_that_are_stacked_answer_as_one_by_one():
             shape = (-1, *[1] * (given_.ndim - 2), given_.shape[-1])
             return self.center[member].reshape(shape), self.half[member].reshape(shape)
 
-    @obstacle_kind
+    @register_obstacle
     @dataclasses.dataclass
     class Crate(Box):
         """A box of which there are many."""

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from dtmpc_drake.models import Model
 from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.planning.starts import straight_line
 from dtmpc_drake.planning.transcription import Transcription
 from dtmpc_drake.records.plan import Plan, join
 from tests.models_for_tests import make_problem, name_of, one_model_of_each_order
@@ -25,7 +26,7 @@ def a_plan(model: Model, seed: int = 0, start_time: float = 1.5) -> Plan:
     """A random reference and bandwidth, with the tube that follows."""
     rng = np.random.default_rng(seed)
     transcription = Transcription(make_problem(model, start_time=start_time), 9)
-    coefficients, bandwidth = transcription.straight_line()
+    coefficients, bandwidth = straight_line(transcription)
     coefficients = coefficients + rng.normal(scale=0.1, size=coefficients.shape)
     bandwidth = rng.uniform(1, 3, bandwidth.shape)
     return transcription.plan(transcription.evaluate(coefficients, bandwidth))

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dtmpc_drake.planning.scp.layout import Variables
 
 from dtmpc_drake.models import DragDoubleIntegrator
 from dtmpc_drake.obstacles import Cylinder, Sphere
 from dtmpc_drake.obstacles.normals import separating_normals, tangent_space
 from dtmpc_drake.planning import Problem, certify, plan, plan_problem, planner
+from dtmpc_drake.planning.layout import Variables
 from dtmpc_drake.planning.scp.clarabel import borrowed
+from dtmpc_drake.planning.scp.curvature import Multipliers
 from dtmpc_drake.planning.scp.linearise import (
     Program,
     Shape,
     kinked_coordinates,
+    program_layout,
 )
 from dtmpc_drake.planning.scp.sensitivity import transitions
+from dtmpc_drake.planning.starts import straight_line
 from dtmpc_drake.planning.transcription import Transcription
 from dtmpc_drake.scenario import Planner, Scenario, Waypoint, load_scenario
 from tests.models_for_tests import (
@@ -334,7 +337,7 @@ def test_transitions_are_the_derivative_of_the_exact_tube():
     scenario = load_scenario("known_environment")
     scenario.model.drag_error_bound = 0.1
     tr = Transcription(Problem.from_scenario(scenario), 28)
-    coefficients, bandwidth = tr.straight_line()
+    coefficients, bandwidth = straight_line(tr)
     coefficients = coefficients + 0.05 * np.sin(np.arange(coefficients.size)).reshape(
         coefficients.shape
     )
@@ -360,14 +363,16 @@ def test_a_program_predicts_every_limit_to_first_order(drag_error_bound, tube_ma
     scenario.limits.input = 4.0
     tr = Transcription(Problem.from_scenario(scenario), 28)
     wiggle = 0.02 * np.sin(np.arange(29 + 2)[:, None] + np.arange(3))
-    coefficients, bandwidth = tr.straight_line()
-    base = tr.evaluate(tr.with_ends(coefficients + wiggle), bandwidth - 0.5)
+    coefficients, bandwidth = straight_line(tr)
+    base = tr.evaluate(tr.ends.met_by(coefficients + wiggle), bandwidth - 0.5)
     variables = Variables(
         tr, planes=len(base.planes.piece), kinked=kinked_coordinates(tr)
     )
-    with borrowed(variables.layout) as solver:
-        program = Program(tr, variables, solver, accuracy=1e-6)
-        program.update(base, Shape(proximity=1.0, secant=1e-3))
+    with borrowed(program_layout(tr, variables)) as solver:
+        program = Program(
+            tr, variables, solver, Multipliers.none(tr, base), accuracy=1e-6
+        )
+        program.update(base, Shape(1e3, 1e-3, proximity=1.0))
         z, _ = program.solve()
     z *= 1e-3 / np.abs(z[program.variables.blocks["coefficients"]]).max()
     promised, actual = program.margins_after(

@@ -30,7 +30,7 @@ from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Sphere
 from dtmpc_drake.scenario import (
     Bandwidth,
     Controller,
-    Cost,
+    Costs,
     Limits,
     Planner,
     Scenario,
@@ -95,7 +95,7 @@ def test_every_field_of_the_schema_arrives() -> None:
         bandwidth=Bandwidth(min=0.5, max=4.0, rate_max=2.0, fixed=None),
     )
     assert s.limits == Limits(input=5.0, speed=2.5)
-    assert s.cost == Cost(input=2.0, bandwidth=0.1)
+    assert s.cost == Costs(input=2.0, bandwidth=0.1)
     assert s.start == Waypoint(position=[0, 0, 1], velocity=[0, 1, 0])
     assert s.goal == Waypoint(position=[0, 25, 1], velocity=[0, 1, 0])
     assert s.duration == 14.0

@@ -24,6 +24,7 @@ from dtmpc_drake.planning.proof.certify import INTERVALS, certify
 from dtmpc_drake.planning.proof.enclosure import enclose
 from dtmpc_drake.planning.scp.linearise import kinked_coordinates
 from dtmpc_drake.planning.scp.sensitivity import transitions
+from dtmpc_drake.planning.starts import straight_line
 from dtmpc_drake.planning.transcription import Transcription
 from dtmpc_drake.records.flights import REPORT_PERIOD
 from dtmpc_drake.scenario import (
@@ -502,9 +503,7 @@ def test_the_tube_has_the_steps_that_are_counted(
         transcription.tube_steps,
         2 * transcription.substeps,
     )
-    straight = transcription.plan(
-        transcription.evaluate(*transcription.straight_line())
-    )
+    straight = transcription.plan(transcription.evaluate(*straight_line(transcription)))
     enclosure = enclose(
         straight, transcription.problem, longest=INTERVALS[-1], velocity_slack=2e-3
     )
@@ -528,7 +527,7 @@ def test_the_estimate_of_memory_is_right_within_a_factor_of_two(
     scenario = sized(*case)
     problem = Problem.from_scenario(scenario)
     transcription = Transcription(problem, scenario.planner.intervals)
-    decisions = transcription.straight_line()
+    decisions = straight_line(transcription)
     iterate = transcription.evaluate(*decisions)
     kinked = kinked_coordinates(transcription)
 

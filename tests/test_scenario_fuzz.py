@@ -15,6 +15,7 @@ import pytest
 
 from dtmpc_drake.errors import ScenarioError
 from dtmpc_drake.planning.problem import Problem
+from dtmpc_drake.planning.starts import straight_line
 from dtmpc_drake.planning.transcription import Transcription
 from dtmpc_drake.scenario import SHIPPED, Scenario, parse_scenario, shipped_scenarios
 from dtmpc_drake.scenario.size import MEMORY
@@ -165,7 +166,7 @@ def first_step(scenario: Scenario) -> None:
     """What any plan begins with."""
     problem = Problem.from_scenario(scenario)
     transcription = Transcription(problem, scenario.planner.intervals)
-    transcription.evaluate(*transcription.straight_line())
+    transcription.evaluate(*straight_line(transcription))
 
 
 @pytest.mark.slow

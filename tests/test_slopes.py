@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dtmpc_drake.planning.scp.slopes import feedforward_slopes, limit_slopes
 
+from dtmpc_drake.costs import Cost
+from dtmpc_drake.limits import SampledLimit
+from dtmpc_drake.limits.base import Facets
 from dtmpc_drake.numerics.arrays import Array, jacobian
 from dtmpc_drake.numerics.differences import differences
-from dtmpc_drake.planning.transcription import Local, Transcription
+from dtmpc_drake.planning.iterate import Local
+from dtmpc_drake.planning.scp.limit_rows import by_local
 from tests.models_for_tests import every_model, make_problem, name_of
 
 
@@ -28,34 +31,35 @@ def some_instants(n: int, m: int, count: int = 40) -> Local:
 
 
 @pytest.mark.parametrize("model", every_model(), ids=name_of)
-def test_slopes_at_one_instant_are_those_of_the_transcription(model):
-    transcription = Transcription(make_problem(model), 16)
-    n, m = model.order, model.num_outputs
+def test_slopes_at_one_instant_are_those_of_margins_and_residuals(model):
+    problem = make_problem(model)
+    law, n, m = problem.law, model.order, model.num_outputs
     local = some_instants(n, m)
-    flat = local.pack()
+    at, flat, close = local.instant, local.pack(), {"rtol": 1e-6, "atol": 1e-6}
 
     def of(function):
         return jacobian(lambda x: function(Local.unpack(x, n, m)), flat, 1e-5)
 
-    slopes = limit_slopes(transcription.problem, local, 1e-5)
-    close = {"rtol": 1e-6, "atol": 1e-6}
-    np.testing.assert_allclose(
-        feedforward_slopes(model, local, 1e-5), of(transcription.feedforward), **close
-    )
-    np.testing.assert_allclose(
-        slopes.along(slopes.steepest),
-        of(lambda at: transcription.used_input(at)[..., None])[:, 0],
-        **close,
-    )
-    if n == 1:
-        np.testing.assert_allclose(
-            slopes.used_rate, of(transcription.used_rate), **close
-        )
-    np.testing.assert_allclose(
-        slopes.error_margin,
-        of(lambda at: transcription.error_margin(at.state, at.error_bound)),
-        **close,
-    )
+    for cost in problem.costs:
+        by_state, by_highest = cost.slopes(law, local.state, local.highest, 1e-5)
+        exact = of(lambda at, c=cost: c.residuals(law, at.state, at.highest))
+        size = n * m
+        np.testing.assert_allclose(by_state, exact[:, :, :size], **close)
+        np.testing.assert_allclose(by_highest, exact[:, :, size : size + m], **close)
+        general = Cost.slopes(cost, law, local.state, local.highest, 1e-5)
+        np.testing.assert_allclose(general[0], by_state, **close)
+        np.testing.assert_allclose(general[1], by_highest, **close)
+    none = Facets(np.zeros(0, dtype=int), np.zeros((0, m)))
+    for limit in problem.sampled:
+        exact = of(lambda at, each=limit: each.margins(law, at.instant))
+        for kind in (type(limit), SampledLimit):  # its own, and those by differences
+            slopes = kind.slopes(limit, law, at, 1e-5, none)
+            rows = len(slopes.by_gain) // len(flat)
+            parts = slopes.by_model, slopes.by_highest, slopes.by_gain
+            found = by_local(
+                local, *(part.reshape(len(flat), rows, -1) for part in parts)
+            )
+            np.testing.assert_allclose(found, exact, **close)
 
 
 def test_differences_see_a_kink_from_both_sides_and_skip_what_does_not_matter():

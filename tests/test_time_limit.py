@@ -12,9 +12,10 @@ from dtmpc_drake.errors import ScenarioError
 from dtmpc_drake.models import IntegratorChain
 from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.planning import plan, plan_problem, replan
+from dtmpc_drake.planning.backend import Effort, backend_of
 from dtmpc_drake.planning.deadline import Deadline
 from dtmpc_drake.planning.ipopt import solver as nlp
-from dtmpc_drake.planning.scp.algorithm import Effort, iterate_to_convergence
+from dtmpc_drake.planning.starts import straight_line
 from dtmpc_drake.planning.transcription import Transcription
 from dtmpc_drake.scenario import Planner, Scenario, Waypoint, load_scenario
 from tests.models_for_tests import make_problem
@@ -66,13 +67,14 @@ def test_an_iterate_that_is_good_enough_is_certified_when_the_time_is_over():
     assert "stopped after planner.time_limit" in result.message
 
 
-def test_no_convex_program_is_begun_after_the_deadline():
+@pytest.mark.parametrize("backend", ["clarabel", "ipopt"])
+def test_no_program_is_begun_after_the_deadline(backend):
     transcription = Transcription(make_problem(IntegratorChain(2, 2)), 16)
     found = []
-    result = iterate_to_convergence(
+    result = backend_of(backend).refine(
         transcription,
-        transcription.straight_line(),
-        effort=Effort(tolerance=1e-9, max_iterations=10),
+        straight_line(transcription),
+        effort=Effort(10, tolerance=1e-9),
         report=found.append,
         deadline=Deadline.after(0.0),
     )

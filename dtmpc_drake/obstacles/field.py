@@ -8,57 +8,27 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from dtmpc_drake.numerics.arrays import Array, BoolArray, FloatArray
-from dtmpc_drake.obstacles.base import OBSTACLES, Cores, Indices, Obstacle
+from dtmpc_drake.obstacles.base import OBSTACLES, Indices, Obstacle
+from dtmpc_drake.obstacles.cores import CoreStack, Group
 from dtmpc_drake.obstacles.normals import nearest_of_box
 
-_SWEEPS = 50
-"""At most, of projecting a core and a tube's box onto each other by turns."""
-_HALVINGS = 40
-"""Of how far a tube that cuts a core is pushed out of it."""
-_APART = 1e-5
-"""Gaps that are smaller, in parts of the core's width, give no direction."""
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Group:
-    """Obstacles of one kind whose cores are more than a point.
-
-    Attributes:
-        cores: of all of them that a scenario has.
-        rows: of the matrices through which they see.
-    """
-
-    cores: Cores
-    rows: int
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class ObstacleSet:
+class ObstacleSet(CoreStack):
     """Obstacles as stacked arrays.
 
     Attributes:
-        shape: H, ``(num_obstacles, rows, m)``, padded with zero rows.
-        center: p_c in the image of H, ``(num_obstacles, rows)``.
-        radius: r_o, ``(num_obstacles,)``.
+        radius: r_o, by which they reach beyond their cores, ``(num_obstacles,)``.
         index: of each in the scenario, ``(num_obstacles,)``.
-        groups: of those whose cores are more than the point p_c.
-        group: which of these each belongs to, ``(num_obstacles,)``; -1 for none.
-        member: which of its group it is, ``(num_obstacles,)``.
     """
 
-    shape: FloatArray
-    center: FloatArray
     radius: FloatArray
     index: Indices
-    groups: tuple[Group, ...]
-    group: Indices
-    member: Indices
 
     @classmethod
     def stack(cls, obstacles: Sequence[Obstacle], num_outputs: int) -> ObstacleSet:
@@ -86,8 +56,15 @@ class ObstacleSet:
                 group[these], member[these] = len(groups), np.arange(len(these))
                 groups.append(Group(cores, own))
         radius = np.array([o.swept_radius() for o in obstacles], dtype=float)
-        index = np.arange(count)
-        return cls(shape, center, radius, index, tuple(groups), group, member)
+        return cls(
+            shape=shape,
+            center=center,
+            groups=tuple(groups),
+            group=group,
+            member=member,
+            radius=radius,
+            index=np.arange(count),
+        )
 
     def subset(self, chosen: npt.NDArray[np.bool_]) -> ObstacleSet:
         """Those obstacles for which `chosen`, ``(num_obstacles,)``, is true."""
@@ -225,8 +202,13 @@ class ObstacleSet:
         return np.asarray(scheduled | seen)
 
     def core_distance(self, offset: Array) -> Array:
-        """From each core to a point at an offset from p_c, ``(..., o)``; never less."""
-        return self._distance(offset)
+        """From each core to a point at an offset from p_c, ``(..., o)``."""
+        distance = np.asarray(np.linalg.norm(offset, axis=-1))
+        if self.groups:
+            which, flat, _ = self._flat(offset, None)
+            apart = np.linalg.norm(flat - self.nearest(which, flat), axis=1)
+            distance[..., self._cored()] = apart.reshape(*offset.shape[:-2], -1)
+        return distance
 
     def outputs_seen(self) -> BoolArray:
         """Which outputs some obstacle looks at, ``(m,)``."""
@@ -253,142 +235,6 @@ class ObstacleSet:
         depth = np.maximum(inflated - distance, 0.0) / slope
         return np.asarray(depth[..., None] * normal)
 
-    # Cores.  For an obstacle whose core is a point all of these are trivial.
-
-    def support(self, obstacle: Indices, direction: Array) -> Array:
-        """Farthest points of cores in some directions, as offsets from p_c.
-
-        Args:
-            obstacle: indices, ``(P,)``.
-            direction: ``(P, ..., rows)``.
-
-        Returns:
-            The same shape as `direction`.
-        """
-        result = np.zeros(direction.shape)
-        for k, group in enumerate(self.groups):
-            mine = np.flatnonzero(self.group[obstacle] == k)
-            which = obstacle[mine]
-            there = group.cores.support(
-                self.member[which], direction[mine][..., : group.rows]
-            )
-            own = self.center[which].reshape(-1, *[1] * (direction.ndim - 2), self._row)
-            result[mine, ..., : group.rows] = there - own[..., : group.rows]
-        return result
-
-    def rounded_support(
-        self, obstacle: Indices, direction: Array, rounding: float
-    ) -> tuple[Array, Array]:
-        """Farthest points of cores that move smoothly as the direction turns.
-
-        ``max ν's - ε s's / 2`` over the core is at the point nearest to ``ν / ε`` (the
-        Moreau envelope of the support function), and its slope by ν is that point.
-        With ε the `rounding` over the core's width an edge is turned around within
-        about so many radians.
-
-        Args:
-            obstacle: indices, ``(P,)``.
-            direction: unit vectors ν, ``(P, rows)``.
-            rounding: in rad.
-
-        Returns:
-            Points s, as offsets from p_c, ``(P, rows)``; and what the maximum, made as
-            large as the support function or larger, has beyond ``ν's``, ``(P,)``.
-        """
-        width = np.maximum(self.widths[obstacle], 1e-9)
-        epsilon = rounding / width
-        point = self.nearest(obstacle, direction / epsilon[:, None])
-        square = self.widths[obstacle] ** 2 - (point * point).sum(axis=1)
-        return point, epsilon * square / 2
-
-    @cached_property
-    def widths(self) -> Array:
-        """No point of a core is further than this from p_c, ``(o,)``."""
-        rows = self._row
-        which = np.arange(len(self))
-        axes = np.concatenate([np.eye(rows), -np.eye(rows)])
-        far = self.support(which, np.broadcast_to(axes, (len(self), *axes.shape)))
-        reach = np.abs(np.einsum("oai,ai->oa", far, axes)).reshape(-1, 2, rows)
-        return np.asarray(np.linalg.norm(reach.max(axis=1), axis=1))
-
-    def nearest(self, obstacle: Indices, offset: Array) -> Array:
-        """Points of cores that are nearest to others; all offsets from p_c.
-
-        Args:
-            obstacle: indices, ``(P,)``.
-            offset: ``(P, ..., rows)``.
-
-        Returns:
-            The same shape as `offset`.
-        """
-        result = np.zeros(offset.shape)
-        for k, group in enumerate(self.groups):
-            mine = np.flatnonzero(self.group[obstacle] == k)
-            which = obstacle[mine]
-            own = self.center[which].reshape(-1, *[1] * (offset.ndim - 2), self._row)
-            own = own[..., : group.rows]
-            point = offset[mine][..., : group.rows] + own
-            there = group.cores.nearest(self.member[which], point)
-            result[mine, ..., : group.rows] = there - own
-        return result
-
-    def gaps(
-        self, obstacle: Indices, offset: Array, tube: Array | None = None
-    ) -> Array:
-        """Along which normals tubes are best parted from cores.
-
-        Where they are apart, these are the vectors from the core's nearest point to
-        the tube's.  A tube that cuts a core is pushed straight away from p_c first,
-        until it does not.
-
-        Args:
-            obstacle: indices, ``(P,)``.
-            offset: of the tubes' middles from p_c, ``(P, rows)``.
-            tube: Ω, ``(P, m)``; only points if left out.
-
-        Returns:
-            ``(P, rows)``, not of unit length.
-        """
-        H = self.shape[obstacle]
-
-        def apart(these: Array, push: Array | float) -> Array:
-            moved = offset[these] + push
-            which, point = obstacle[these], np.zeros_like(moved)
-            for _ in range(_SWEEPS):
-                gap = moved - point
-                if tube is not None:
-                    gap = nearest_of_box(gap, H[these], tube[these])
-                before, point = point, self.nearest(which, point + gap)
-                if np.abs(point - before).max(initial=0.0) < 1e-11 or tube is None:
-                    break
-            gap = moved - point
-            return gap if tube is None else nearest_of_box(gap, H[these], tube[these])
-
-        everywhere = np.arange(len(obstacle))
-        gap = apart(everywhere, 0.0)
-        outwards = offset / np.maximum(np.linalg.norm(offset, axis=1), 1e-300)[:, None]
-        outwards[(np.abs(outwards) ** 2).sum(axis=1) < 0.5, 0] = 1.0
-        width = (outwards * self.support(obstacle, outwards)).sum(axis=1)
-        far = width.copy()
-        if tube is not None:
-            far += (np.abs(np.einsum("pij,pi->pj", H, outwards)) * tube).sum(axis=1)
-        tiny = _APART * np.maximum(far, 1e-9)
-        cut = np.flatnonzero(np.linalg.norm(gap, axis=1) < tiny)
-        if not len(cut):
-            return gap
-        low, high = np.zeros(len(cut)), far[cut] + 2 * tiny[cut]
-        for _ in range(_HALVINGS):
-            middle = (low + high) / 2
-            trial = apart(cut, middle[:, None] * outwards[cut])
-            out = np.linalg.norm(trial, axis=1) >= tiny[cut]
-            low, high = np.where(out, low, middle), np.where(out, middle, high)
-        gap[cut] = apart(cut, high[:, None] * outwards[cut])
-        return gap
-
-    @property
-    def _row(self) -> int:
-        return self.shape.shape[1]
-
     def _cored(self) -> Indices:
         """Which obstacles' cores are more than a point."""
         return np.flatnonzero(self.group >= 0)
@@ -404,7 +250,7 @@ class ObstacleSet:
             result = np.array(result)
             which, flat, boxes = self._flat(offset, tube)
             result[..., self._cored(), :] = self.gaps(which, flat, boxes).reshape(
-                *offset.shape[:-2], -1, self._row
+                *offset.shape[:-2], -1, self.shape.shape[1]
             )
         return result
 
@@ -448,4 +294,4 @@ class ObstacleSet:
         if tube is not None:
             boxes = np.broadcast_to(tube[..., None, :], (*lead, tube.shape[-1]))
             boxes = boxes.reshape(-1, tube.shape[-1])
-        return which, mine.reshape(-1, self._row), boxes
+        return which, mine.reshape(-1, self.shape.shape[1]), boxes

@@ -33,6 +33,7 @@ from dtmpc_drake.scenario import SolverOptions
 TUBE_STEPS = 8, 16
 """Steps of the tube in each interval, at least; the half grid has twice as many.  The
 second where Δ varies and eight are longer than an eighth of a time constant."""
+DEFAULTS = SolverOptions()
 STIFF = 4
 """From so many steps in place of one the tube's derivatives are found implicitly."""
 
@@ -54,7 +55,7 @@ class Transcription:
         self,
         problem: Problem,
         intervals: int,
-        options: SolverOptions,
+        options: SolverOptions = DEFAULTS,
         *,
         reach: float = 1.0,
         refinement: int = 1,

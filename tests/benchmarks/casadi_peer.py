@@ -171,7 +171,7 @@ class Peer:
         along = (np.arange(N + 3)[:, None] - 1) / N
         line = p.start[0] + along * (p.goal[0] - p.start[0])
         speed = np.abs(line[1:2] - line[:1]) / h
-        alpha_first = np.broadcast_to(p.bandwidth_max, (K, m))
+        alpha_first = np.broadcast_to(p.bandwidth.high, (K, m))
         first = self.transcription.evaluate(line, alpha_first).local
 
         # y* is a uniform cubic B-spline.
@@ -185,8 +185,8 @@ class Peer:
             "alpha",
             (m, K),
             guess=alpha_first.T,
-            low=p.bandwidth_min[:, None],
-            high=p.bandwidth_max[:, None],
+            low=p.bandwidth.low[:, None],
+            high=p.bandwidth.high[:, None],
         )
         phi, omega, w = (
             program.variable(name, (m, K), guess=guess.T, **_from(fixed, K))
@@ -218,16 +218,16 @@ class Peer:
         )
 
         # The limits, at the knots.
-        if not p.bandwidth_is_fixed:
-            change = h * p.bandwidth_rate_max
+        if not p.bandwidth.is_fixed:
+            change = h * p.bandwidth.rate
             program.add(alpha[:, 1:] - alpha[:, :-1], low=-change, high=change)
-        program.add(largest, high=p.speed_limit)
+        program.add(largest, high=p.speed.bound)
         drag = model.drag_estimate
         feedback = _norm(
             drag * _rows(_norm(largest)) * largest + slope * w + gain + worst - known
         )
         # Its other branch, feedback above the limit, is excluded in `solve`.
-        program.add(ca.sum1(a * a) - (p.input_limit - feedback) ** 2, high=0.0)
+        program.add(ca.sum1(a * a) - (p.input.bound - feedback) ** 2, high=0.0)
         inside = slice(1, N)  # nothing can be done about the ends
         obstacles = p.obstacles
         inflation = ca.SX.sym("inflation")  # a parameter: nothing is built anew
@@ -239,8 +239,9 @@ class Peer:
             program.add(ca.sum1(offset**2) - reach**2, low=0.0)
 
         u = a + drag * _rows(_norm(v)) * v
-        running = p.input_weight * ca.sum1(u**2)
-        running += p.bandwidth_weight * ca.sum1((alpha - p.bandwidth_floor) ** 2)
+        running = p.costs[0].weight * ca.sum1(u**2)
+        excess = alpha - p.bandwidth_cost.floor
+        running += p.bandwidth_cost.weight * ca.sum1(excess**2)
         cost = running @ ca.DM(self.transcription.weights)
 
         self._finish(program, cost, inflation, [c.T, alpha.T, feedback])
@@ -306,7 +307,7 @@ class Peer:
         elapsed = time.perf_counter() - started
         stats = solver.stats()
         c, alpha, feedback = (np.asarray(e) for e in self._read(raw["x"]))
-        in_branch = bool(feedback.max() <= self.problem.input_limit)
+        in_branch = bool(feedback.max() <= self.problem.input.bound)
         return Solution(
             cost=float(raw["f"]),
             iterations=int(stats["iter_count"]),

@@ -217,7 +217,11 @@ class LinearRows(Block):
         weight = (control / (basis.shape[0] - 1))[:, None]
         wide = np.abs(normal)[:, None]
         before, after = (wide @ rate[piece])[:, 0], (wide @ rate[piece + 1])[:, 0]
-        values = [-own.reshape(len(own), -1), (weight - 1) * before, -weight * after]
+        values = [
+            -own.reshape(len(own), basis.shape[1] * tr.outputs),
+            (weight - 1) * before,
+            -weight * after,
+        ]
         columns = [v.coefficient_columns(piece, basis.shape[1])]
         columns += [reads[piece], reads[piece + 1]]
         self.values = np.concatenate(values, axis=1)
