@@ -14,7 +14,7 @@ from dtmpc_drake.obstacles.drawing import Mesh
 from dtmpc_drake.planning import Problem, certify, plan
 from dtmpc_drake.planning.search.sides import propose
 from dtmpc_drake.scenario import Scenario, ScenarioError, Waypoint, parse_scenario
-from dtmpc_drake.visualization import plot_plan, write_replay
+from dtmpc_drake.visualization import ShownFlight, plot_plan, write_replay
 from dtmpc_drake.visualization.geometry import obstacle_sections, obstacle_solids
 from tests.extensions.obstacle import Box
 
@@ -119,13 +119,9 @@ def test_a_box_looks_like_one(planned, tmp_path):
         assert area == pytest.approx(4 * PILLAR.half[0] * PILLAR.half[1])
 
     plot_plan(scenario=scenario, plan=planned.plan).savefig(tmp_path / "plan.png")
-    log = Simulate(scenario, plan=planned.plan)
+    flown = ShownFlight.of(Simulate(scenario, plan=planned.plan))
     write_replay(
-        scenario=scenario,
-        plan=planned.plan,
-        time=log.time,
-        position=log.state[:, 0],
-        path=tmp_path / "replay.html",
+        tmp_path / "replay.html", scenario=scenario, plan=planned.plan, flight=flown
     )
     assert (tmp_path / "replay.html").stat().st_size > 100_000
 

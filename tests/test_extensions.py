@@ -20,6 +20,7 @@ from dtmpc_drake.experiments import compare, monte_carlo
 from dtmpc_drake.plugins import load_plugin
 from dtmpc_drake.scenario import Scenario, ScenarioError, load_scenario, parse_scenario
 
+OWN_KINDS = ("tests.extensions",)
 PLUGIN = Path(__file__).parent / "extensions" / "__init__.py"
 HARBOUR = PLUGIN.with_name("harbour.yaml")
 COMMANDS = {

@@ -74,7 +74,11 @@ from dtmpc_drake.systems import Plant, SlidingModeTracker
 from dtmpc_drake.visualization import plot_plan, plot_quantiles
 from tests.models_for_tests import PlanarOnSlope, ThirdOrderPlanar
 
-KINDS = {kind.short_name: kind.hard for kind in DISTURBANCES if kind.short_name}
+KINDS = {
+    kind.short_name: kind.hard
+    for kind in DISTURBANCES
+    if kind.short_name and kind.__module__.startswith("dtmpc_drake.")
+}
 
 
 def short(model: Any = None, **fields: Any) -> Scenario:

@@ -156,7 +156,7 @@ def test_the_solved_half_planes_are_kept_where_they_are_better():
     kept = program.evaluate(z).planes
     found = program.transcription.evaluate(
         program._block(z, "coefficients"),
-        program.transcription.feasible_bandwidth(program._block(z, "bandwidth")),
+        program.transcription.bandwidth.feasible(program._block(z, "bandwidth")),
     ).planes
     assert (kept.margin.min(axis=1) >= found.margin.min(axis=1)).all()
 

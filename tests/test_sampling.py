@@ -26,7 +26,11 @@ from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import Planner, Scenario, Simulation, Waypoint
 from dtmpc_drake.visualization.style import drawn_period
 
-KINDS = {kind.short_name: kind.hard for kind in DISTURBANCES if kind.short_name}
+KINDS = {
+    kind.short_name: kind.hard
+    for kind in DISTURBANCES
+    if kind.short_name and kind.__module__.startswith("dtmpc_drake.")
+}
 SHORT = Scenario(
     name="short",
     disturbance=BangBang(hold=0.33),

@@ -71,8 +71,9 @@ class Cost(abc.ABC):
         ahead, behind = (
             self.residuals(law, state, highest + sign * moves) for sign in (1.0, -1.0)
         )
-        by_highest = np.moveaxis((ahead - behind) / (2 * STEP), 0, -1)
-        return found.slope[:, :, : state[0].size], np.asarray(by_highest)
+        slope = (ahead - behind) / (2 * STEP)  # may not depend on it at all
+        slope = np.broadcast_to(slope, (len(moves), *found.value.shape))
+        return found.slope[:, :, : state[0].size], np.moveaxis(slope, 0, -1)
 
 
 COSTS: Registry[Cost] = Registry(Cost, "register_cost")

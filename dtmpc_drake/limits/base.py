@@ -153,6 +153,8 @@ class SampledLimit(Limit):
             moved = dataclasses.replace(at, state=state, error_bound=radius)
             return self.margins(law, moved)
 
+        count = len(at.state)
+
         def along(name: str) -> Array:
             value = getattr(at, name)
             moves = STEP * np.eye(value.shape[1])[:, None]
@@ -162,14 +164,15 @@ class SampledLimit(Limit):
                 )
                 for sign in (1.0, -1.0)
             )
-            return np.asarray(np.moveaxis((ahead - behind) / (2 * STEP), 0, -1))
+            slope = (ahead - behind) / (2 * STEP)  # may not depend on it at all
+            slope = np.broadcast_to(slope, (len(moves), count, slope.shape[-1]))
+            return np.moveaxis(slope, 0, -1).reshape(-1, len(moves))
 
         found = differences(of_box, at.state, at.error_bound, secant)
-        rows = found.slope.shape[0] * found.slope.shape[1]
         return Slopes(
-            by_model=found.slope.reshape(rows, -1),
-            by_highest=along("highest").reshape(rows, -1),
-            by_gain=along("gain").reshape(rows, -1),
+            by_model=found.slope.reshape(-1, found.slope.shape[2]),
+            by_highest=along("highest"),
+            by_gain=along("gain"),
         )
 
     def facets(self, law: SlidingLaw, at: Instant) -> Facets:
