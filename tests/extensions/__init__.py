@@ -3,6 +3,6 @@
 Importing it registers them, and so does ``--plugin tests/extensions/__init__.py``.
 """
 
-from . import disturbance, model, obstacle
+from . import cost, disturbance, limit, model, obstacle
 
-__all__ = ["disturbance", "model", "obstacle"]
+__all__ = ["cost", "disturbance", "limit", "model", "obstacle"]
