@@ -13,6 +13,8 @@ from pydrake.systems.primitives import LogVectorOutput
 
 import dtmpc_drake as dtmpc
 from dtmpc_drake import systems
+from dtmpc_drake.disturbances import MakeDisturbance
+from dtmpc_drake.visualization import ShownFlight
 
 scenario = dtmpc.load_scenario("known_environment")
 model, start, slope = scenario.model, scenario.start_state(), scenario.slope()
@@ -22,7 +24,7 @@ add, connect = builder.AddNamedSystem, builder.Connect
 planner = add("planner", systems.DtmpcPlanner(scenario=scenario))
 tracker = add("tracker", systems.SlidingModeTracker(scenario=scenario))
 plant = add("plant", systems.Plant(model=model, initial_state=start))
-wind = systems.MakeDisturbance(scenario.disturbance, model=model, slope=slope)
+wind = MakeDisturbance(scenario.disturbance, model=model, slope=slope)
 add("wind", wind)
 
 plan, state = planner.GetOutputPort("plan"), plant.GetOutputPort("state")
@@ -46,11 +48,10 @@ log = flown.FindLog(context)
 path = Path("out/diagrams/known_environment.html")
 path.parent.mkdir(parents=True, exist_ok=True)
 dtmpc.write_replay(
+    path,
     scenario=scenario,
     plan=plan.Eval(planner.GetMyContextFromRoot(context)),
-    time=log.sample_times(),
-    position=log.data()[:3].T,
-    path=path,
+    flight=ShownFlight(time=log.sample_times(), position=log.data()[:3].T),
 )
 share = used.FindLog(context).data().max()
 print(f"used {share:.0%} of the tube at most; see {path}")

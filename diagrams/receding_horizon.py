@@ -14,7 +14,9 @@ from pydrake.systems.primitives import LogVectorOutput
 
 import dtmpc_drake as dtmpc
 from dtmpc_drake import systems
+from dtmpc_drake.disturbances import MakeDisturbance
 from dtmpc_drake.records.replan import flown_plan, table
+from dtmpc_drake.visualization import ShownFlight
 
 scenario = dtmpc.load_scenario("receding_horizon")
 model, start, slope = scenario.model, scenario.start_state(), scenario.slope()
@@ -25,7 +27,7 @@ sensor = add("sensor", systems.ObstacleSensor(scenario=scenario))
 planner = add("planner", systems.DtmpcPlanner(scenario=scenario))
 tracker = add("tracker", systems.SlidingModeTracker(scenario=scenario))
 plant = add("plant", systems.Plant(model=model, initial_state=start))
-wind = systems.MakeDisturbance(scenario.disturbance, model=model, slope=slope)
+wind = MakeDisturbance(scenario.disturbance, model=model, slope=slope)
 add("wind", wind)
 
 known, state = sensor.GetOutputPort("measured_obstacles"), plant.GetOutputPort("state")
@@ -48,14 +50,13 @@ since = sensor.GetOutputPort("known_since").Eval(sensor.GetMyContextFromRoot(con
 log = flown.FindLog(context)
 path = Path("out/diagrams/receding_horizon.html")
 path.parent.mkdir(parents=True, exist_ok=True)
-dtmpc.write_replay(
-    scenario=scenario,
-    plan=flown_plan(replans),
+flight = ShownFlight(
     time=log.sample_times(),
     position=log.data()[:3].T,
-    path=path,
     replans=replans,
     known_since=since,
 )
+plan = flown_plan(replans)
+dtmpc.write_replay(path, scenario=scenario, plan=plan, flight=flight)
 print(table(replans))
 print(f"see {path}")

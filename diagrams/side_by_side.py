@@ -15,6 +15,7 @@ from pydrake.systems.primitives import ConstantValueSource, LogVectorOutput
 
 import dtmpc_drake as dtmpc
 from dtmpc_drake import systems
+from dtmpc_drake.disturbances import MakeDisturbance, SeedTrials
 
 TRIALS = 100
 scenario = dtmpc.load_scenario("known_environment")
@@ -27,7 +28,7 @@ source = add("plan", ConstantValueSource(Value[object](result.plan)))
 tracker = systems.SlidingModeTracker(scenario=scenario, trials=TRIALS)
 add("tracker", tracker)
 plant = add("plant", systems.Plant(model=model, initial_state=start, trials=TRIALS))
-wind = systems.MakeDisturbance(
+wind = MakeDisturbance(
     scenario.disturbance,
     model=model,
     slope=slope,
@@ -47,7 +48,7 @@ simulator = Simulator(builder.Build())
 fixed = SimulatorConfig(max_step_size=0.01, use_error_control=False)
 ApplySimulatorConfig(fixed, simulator)
 context = simulator.get_mutable_context()
-systems.SeedTrials(wind, context, range(TRIALS))
+SeedTrials(wind, context, range(TRIALS))
 simulator.AdvanceTo(scenario.duration)
 
 log = flown.FindLog(context)

@@ -15,6 +15,7 @@ from pydrake.systems.primitives import ConstantValueSource, LogVectorOutput
 
 import dtmpc_drake as dtmpc
 from dtmpc_drake import systems
+from dtmpc_drake.disturbances import MakeDisturbance
 
 scenario = dtmpc.load_scenario("state_dependent_uncertainty")
 model, start, slope = scenario.model, scenario.start_state(), scenario.slope()
@@ -23,7 +24,7 @@ print(result)
 
 builder = DiagramBuilder()
 source = builder.AddNamedSystem("plan", ConstantValueSource(Value[object](result.plan)))
-wind = systems.MakeDisturbance(scenario.disturbance, model=model, slope=slope)
+wind = MakeDisturbance(scenario.disturbance, model=model, slope=slope)
 builder.AddNamedSystem("wind", wind)
 plan, push = source.get_output_port(), wind.GetOutputPort("disturbance")
 logs = {}

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import dtmpc_drake
 from dtmpc_drake.__main__ import app
 from dtmpc_drake.diagrams import Simulate
 from dtmpc_drake.errors import ScenarioError
@@ -77,7 +78,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
 
 
 def environment() -> dict[str, str]:
-    """The diagrams need not be installed to be tested."""
+    """The package need not be installed to be tested."""
     root = str(Path(__file__).parents[1])
     paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
     return os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
@@ -287,3 +288,37 @@ def test_show_prints_a_file_that_can_be_used(name: str, tmp_path: Path) -> None:
     assert load_scenario(copy) is not load_scenario(name)
     assert invoke("check", copy).stdout.startswith("valid: Scenario(")
     assert invoke("show", copy).exit_code == 0
+
+
+# Its name.
+
+
+def test_help_names_the_command_as_it_was_called() -> None:
+    for arguments, name in (
+        (["-m", "dtmpc_drake"], "python -m dtmpc_drake"),
+        (["-c", CONSOLE_SCRIPT], "dtmpc"),
+    ):
+        process = subprocess.run(
+            [sys.executable, *arguments, "--help"],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            env=environment(),
+        )
+        assert process.stdout.startswith(f"Usage: {name} [OPTIONS] COMMAND")
+        assert "monte-carlo" in process.stdout
+
+
+CONSOLE_SCRIPT = """
+import sys
+sys.argv[0] = "/somewhere/bin/dtmpc"
+from dtmpc_drake.__main__ import main
+main()
+"""
+"""What an installed ``dtmpc`` does."""
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    result = invoke("--version")
+    assert result.exit_code == 0
+    assert result.stdout == f"dtmpc_drake {dtmpc_drake.__version__}\n"

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import site
 import subprocess
 import sys
 import venv
@@ -111,7 +110,8 @@ class Environment:
         self.bin = directory / "bin"
         self.python = self.bin / "python"
         (self.site,) = directory.glob("lib/python*/site-packages")
-        (self.site / "libraries.pth").write_text("\n".join(site.getsitepackages()))
+        libraries = [path for path in sys.path if Path(path).name == "site-packages"]
+        (self.site / "libraries.pth").write_text("\n".join(libraries))
 
     def install(self, *wheels: Path) -> None:
         # What the libraries beside have installed does not count as ours.
