@@ -29,7 +29,14 @@ from rich.progress import (
 from dtmpc_drake import __version__
 from dtmpc_drake.errors import ScenarioError
 from dtmpc_drake.plugins import load_plugins
-from dtmpc_drake.scenario import SHIPPED, Scenario, load_scenario, shipped_scenarios
+from dtmpc_drake.scenario import (
+    SHIPPED,
+    Scenario,
+    load_scenario,
+    shipped_scenarios,
+    to_yaml,
+    validate,
+)
 
 if TYPE_CHECKING:
     from dtmpc_drake.experiments.monte_carlo import Batch
@@ -260,7 +267,7 @@ def show(
     except ScenarioError as error:
         _refuse(str(error))
     shipped = name in shipped_scenarios()
-    typer.echo((_text(name) if shipped else scenario.to_yaml()).rstrip())
+    typer.echo((_text(name) if shipped else to_yaml(scenario)).rstrip())
 
 
 @app.command()
@@ -293,7 +300,7 @@ def _load(
         scenario.simulation.seed = _whole("seed", seed)
     if backend is not None:
         scenario.planner.backend = backend
-    scenario.validate()
+    validate(scenario)
     return scenario
 
 

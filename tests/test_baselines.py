@@ -38,6 +38,8 @@ from dtmpc_drake.scenario import (
     Scenario,
     Waypoint,
     load_scenario,
+    to_yaml,
+    validate,
 )
 
 
@@ -54,7 +56,7 @@ def short(**fields: Any) -> Scenario:
         "planner": Planner(intervals=16),
     }
     scenario = Scenario(name="short", **(settings | fields))
-    scenario.validate()
+    validate(scenario)
     return scenario
 
 
@@ -380,7 +382,7 @@ def invoke(*arguments: object) -> Any:
 
 def test_the_command_compares(tmp_path: Path) -> None:
     file, out = tmp_path / "short.yaml", tmp_path / "out"
-    file.write_text(short().to_yaml(), encoding="utf-8")
+    file.write_text(to_yaml(short()), encoding="utf-8")
     result = invoke(file, "--trials", 10, "--out", out)
     assert result.exit_code == 0, result.output
     assert {path.name for path in out.iterdir()} == set(OUTPUTS)
@@ -425,7 +427,7 @@ def test_the_exit_status_tells_an_impossible_task(tmp_path: Path) -> None:
         obstacles=[],
         planner=Planner(intervals=8, max_iterations=2),
     )
-    file.write_text(storm.to_yaml(), encoding="utf-8")
+    file.write_text(to_yaml(storm), encoding="utf-8")
     result = invoke(file, "--trials", 1, "--out", tmp_path / "out")
     assert result.exit_code == 3, result.output
     assert "infeasible" in result.output

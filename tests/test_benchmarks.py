@@ -11,7 +11,7 @@ from dtmpc_drake.disturbances import UniformHold
 from dtmpc_drake.models import DragDoubleIntegrator
 from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.planning import Problem, certify
-from dtmpc_drake.scenario import Controller, Planner, Scenario, Waypoint
+from dtmpc_drake.scenario import Controller, Planner, Scenario, Waypoint, validate
 
 pytest.importorskip("casadi")
 
@@ -37,7 +37,7 @@ def problem() -> Problem:
         obstacles=[Cylinder([0.25, 1.5], 0.4)],
         planner=Planner(intervals=INTERVALS),
     )
-    scenario.validate()
+    validate(scenario)
     return Problem.from_scenario(scenario)
 
 

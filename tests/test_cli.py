@@ -29,6 +29,7 @@ from dtmpc_drake.scenario import (
     Waypoint,
     load_scenario,
     shipped_scenarios,
+    to_yaml,
 )
 
 SHORT = Scenario(
@@ -45,7 +46,7 @@ def invoke(*arguments: object) -> Any:
 
 
 def written(path: Path, scenario: Scenario) -> Path:
-    path.write_text(scenario.to_yaml(), encoding="utf-8")
+    path.write_text(to_yaml(scenario), encoding="utf-8")
     return path
 
 

@@ -34,6 +34,7 @@ from dtmpc_drake.scenario import (
     Scenario,
     Waypoint,
     load_scenario,
+    validate,
 )
 from tests.models_for_tests import FirstOrderScalar, PlanarOnSlope, ThirdOrderPlanar
 
@@ -55,7 +56,7 @@ def small(model: Any, **fields: Any) -> Scenario:
         "planner": Planner(intervals=16),
     }
     scenario = Scenario(name="small", model=model, **(settings | fields))
-    scenario.validate()
+    validate(scenario)
     return scenario
 
 

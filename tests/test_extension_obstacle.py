@@ -13,7 +13,14 @@ from dtmpc_drake.obstacles import ObstacleSet
 from dtmpc_drake.obstacles.drawing import Mesh
 from dtmpc_drake.planning import Problem, certify, plan
 from dtmpc_drake.planning.search.sides import propose
-from dtmpc_drake.scenario import Scenario, ScenarioError, Waypoint, parse_scenario
+from dtmpc_drake.scenario import (
+    Scenario,
+    ScenarioError,
+    Waypoint,
+    parse_scenario,
+    to_yaml,
+    validate,
+)
 from dtmpc_drake.visualization import ShownFlight, plot_plan, write_replay
 from dtmpc_drake.visualization.geometry import obstacle_sections, obstacle_solids
 from tests.extensions.obstacle import Box
@@ -33,7 +40,7 @@ def flight(*obstacles: Box, **changes) -> Scenario:
     scenario.planner.intervals = 28
     for name, value in changes.items():
         setattr(scenario, name, value)
-    scenario.validate()
+    validate(scenario)
     return scenario
 
 
@@ -144,7 +151,7 @@ def test_a_box_is_seen_from_its_surface_on():
 
 
 def test_a_box_survives_its_file_and_is_refused_by_name():
-    text = flight(PILLAR, duration=9.0).to_yaml()
+    text = to_yaml(flight(PILLAR, duration=9.0))
     assert "!Box" in text
     assert parse_scenario(text).obstacles == [PILLAR]
     with pytest.raises(ScenarioError, match=r"^obstacles\[0\]\.half: got \[1, 1\]"):

@@ -69,6 +69,8 @@ from dtmpc_drake.scenario import (
     Scenario,
     Waypoint,
     load_scenario,
+    to_yaml,
+    validate,
 )
 from dtmpc_drake.systems import Plant, SlidingModeTracker
 from dtmpc_drake.visualization import plot_plan, plot_quantiles
@@ -95,7 +97,7 @@ def short(model: Any = None, **fields: Any) -> Scenario:
         "planner": Planner(intervals=16),
     }
     scenario = Scenario(name="short", model=model, **(settings | fields))
-    scenario.validate()
+    validate(scenario)
     return scenario
 
 
@@ -152,7 +154,7 @@ def test_true_parameters_are_spread_over_all_that_the_model_allows() -> None:
     counts, _ = np.histogram(drag, bins=4, range=(low, high))
     assert counts.min() > 30
     for trial in draw_trials(scenario, range(3)):
-        trial.scenario(scenario).validate()
+        validate(trial.scenario(scenario))
 
 
 def test_the_initial_error_is_anywhere_within_that_of_the_scenario() -> None:
@@ -163,7 +165,7 @@ def test_the_initial_error_is_anywhere_within_that_of_the_scenario() -> None:
     trials = draw_trials(scenario, range(300))
     own = [trial.scenario(scenario) for trial in trials]
     for one in own:
-        one.validate()
+        validate(one)
     errors = np.array([one.initial_error_state() for one in own])
     np.testing.assert_array_equal(errors[0], declared)
     np.testing.assert_array_equal(errors[1], -declared)
@@ -635,7 +637,7 @@ def invoke(*arguments: object) -> Any:
 @pytest.fixture
 def file(tmp_path: Path, flown: tuple[Scenario, Plan]) -> Path:
     path = tmp_path / "short.yaml"
-    path.write_text(flown[0].to_yaml(), encoding="utf-8")
+    path.write_text(to_yaml(flown[0]), encoding="utf-8")
     return path
 
 

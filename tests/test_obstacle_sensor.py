@@ -26,6 +26,8 @@ from dtmpc_drake.scenario import (
     load_scenario,
     parse_scenario,
     sensing_range_needed,
+    to_yaml,
+    validate,
 )
 from dtmpc_drake.systems import ObstacleSensor
 
@@ -229,26 +231,26 @@ def test_a_range_that_is_far_enough_is_accepted_and_one_below_is_not() -> None:
     needed = sensing_range_needed(scenario)
     assert needed < scenario.sensing.range
     scenario.sensing.range = needed + 1e-6
-    scenario.validate()
+    validate(scenario)
     scenario.sensing.range = needed - 1e-3
     with pytest.raises(ScenarioError, match=r"to stop at the speed limit"):
-        scenario.validate()
+        validate(scenario)
     # A schedule is no range: nobody can tell where the vehicle will be.
     for obstacle in scenario.obstacles:
         obstacle.known_from = 5.0
-    scenario.validate()
+    validate(scenario)
 
 
 def test_a_vehicle_that_cannot_brake_is_told_so() -> None:
     scenario = load_scenario("sensed_environment")
     scenario.limits.input = 2.0
     with pytest.raises(ScenarioError, match="leaves no input to brake with"):
-        scenario.validate()
+        validate(scenario)
 
 
 def test_sensing_and_replanning_survive_their_file() -> None:
     scenario = load_scenario("receding_horizon")
-    assert parse_scenario(scenario.to_yaml()) == scenario
+    assert parse_scenario(to_yaml(scenario)) == scenario
     assert [o.known_from for o in scenario.obstacles] == [None, None, 6.0, 6.0, 8.0]
     assert scenario.planner == dataclasses.replace(
         Planner(), intervals=64, replan_period=1.0, compute_delay=0.2

@@ -24,7 +24,7 @@ from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.records.flight import Flight
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.records.replan import Replan
-from dtmpc_drake.scenario import Limits, Planner, Scenario, Waypoint
+from dtmpc_drake.scenario import Limits, Planner, Scenario, Waypoint, to_yaml
 
 NAMES = ("a.txt", "b.txt", "c.txt")
 SHORT = Scenario(
@@ -158,7 +158,7 @@ def test_an_infeasible_run_deletes_nothing(tmp_path: Path, command: str) -> None
         SHORT, limits=Limits(input=0.3), planner=Planner(intervals=16, max_iterations=3)
     )
     file, out = tmp_path / "weak.yaml", tmp_path / "out"
-    file.write_text(weak.to_yaml(), encoding="utf-8")
+    file.write_text(to_yaml(weak), encoding="utf-8")
     out.mkdir()
     (out / "replay.html").write_text("the user's own")
     result = CliRunner().invoke(app, [command, str(file), "--out", str(out)])
@@ -179,7 +179,7 @@ def test_a_scheduler_that_nobody_runs_costs_nothing(
     tmp_path: Path, address: str
 ) -> None:
     file, out = tmp_path / "short.yaml", tmp_path / "out"
-    file.write_text(SHORT.to_yaml(), encoding="utf-8")
+    file.write_text(to_yaml(SHORT), encoding="utf-8")
     out.mkdir()
     (out / "cloud.png").write_text("of an earlier run")
     arguments = ["--scheduler", address, "--trials", "4"]
@@ -192,7 +192,7 @@ def test_a_scheduler_that_nobody_runs_costs_nothing(
 
 def test_more_flights_than_there_is_memory_for_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "short.yaml"
-    file.write_text(SHORT.to_yaml(), encoding="utf-8")
+    file.write_text(to_yaml(SHORT), encoding="utf-8")
     arguments = ["--trials", "1000000000000", "--out", str(tmp_path / "out")]
     result = CliRunner().invoke(app, ["monte-carlo", str(file), *arguments])
     assert result.exit_code == 2

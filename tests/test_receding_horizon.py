@@ -30,6 +30,7 @@ from dtmpc_drake.scenario import (
     Waypoint,
     load_scenario,
     sensing_range_needed,
+    validate,
 )
 
 _FLIGHTS: dict[tuple[str, str], Flight] = {}
@@ -298,7 +299,7 @@ WALL = Ellipsoid([0.0, 8.0], [[0.0, 1.0]], 1.0)  # from y = 7 to 9, without an e
 def test_the_vehicle_stops_before_a_wall_that_it_sees_from_far_enough() -> None:
     scenario = corridor(obstacles=[WALL], sensing=Sensing(range=50.0))
     scenario.sensing.range = sensing_range_needed(scenario)
-    scenario.validate()
+    validate(scenario)
     scenario.planner.replan_period = 2.0
     log = Simulate(scenario)
     assert_safe(scenario, log)
@@ -404,7 +405,7 @@ def test_models_of_other_orders_are_planned_again(order: int) -> None:
         planner=Planner(intervals=24, replan_period=1.0),
         disturbance=WorstCase(bound=[0.1] * 2),
     )
-    scenario.validate()
+    validate(scenario)
     log = Simulate(scenario)
     assert_safe(scenario, log)
     assert {r.status for r in log.replans} == {"certified"}
@@ -480,7 +481,7 @@ def random_field(seed: int) -> Scenario:
     )
     scenario.sensing.range = sensing_range_needed(scenario)
     scenario.simulation.seed = seed
-    scenario.validate()
+    validate(scenario)
     return scenario
 
 

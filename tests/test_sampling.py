@@ -23,7 +23,7 @@ from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.planning import hold_plan, plan
 from dtmpc_drake.records.flight import Flight
 from dtmpc_drake.records.plan import Plan
-from dtmpc_drake.scenario import Planner, Scenario, Simulation, Waypoint
+from dtmpc_drake.scenario import Planner, Scenario, Simulation, Waypoint, to_yaml
 from dtmpc_drake.visualization.style import drawn_period
 
 KINDS = {
@@ -210,7 +210,7 @@ def test_a_terminal_is_told_how_much_is_flown_and_nobody_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = tmp_path / "short.yaml"
-    file.write_text(SHORT.to_yaml(), encoding="utf-8")
+    file.write_text(to_yaml(SHORT), encoding="utf-8")
 
     def output(*options: str) -> str:
         arguments = ["simulate", str(file), "--out", str(tmp_path / "out"), *options]

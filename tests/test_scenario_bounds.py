@@ -40,6 +40,8 @@ from dtmpc_drake.scenario import (
     parse_scenario,
     require_trials,
     size,
+    to_yaml,
+    validate,
 )
 from dtmpc_drake.scenario.text import DEEPEST, MOST_BYTES, MOST_VALUES, read_yaml
 
@@ -171,7 +173,7 @@ def test_a_text_that_looks_like_a_number_stays_a_name() -> None:
     for name in ("1e3", "2020-01-01", "nan"):
         scenario = parse_scenario(LEAST + f"name: {name}")
         assert scenario.name == name
-        assert parse_scenario(scenario.to_yaml()) == scenario
+        assert parse_scenario(to_yaml(scenario)) == scenario
 
 
 def test_a_text_is_read_in_one_pass(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -230,7 +232,7 @@ def test_no_number_is_larger_than_its_unit_allows(field: str, value: float) -> N
     scenario = parse_scenario(LEAST)
     SET[field](scenario, value)
     with pytest.raises(ScenarioError) as caught:
-        scenario.validate()
+        validate(scenario)
     assert caught.value.field == field
     assert f"got {value:g}, but" in str(caught.value)
     if np.isfinite(value):
@@ -255,7 +257,7 @@ def test_what_must_not_be_zero_is_not_next_to_zero(field: str, unit: str) -> Non
     scenario = parse_scenario(LEAST)
     SET[field](scenario, 1e-30)
     with pytest.raises(ScenarioError, match=rf"greater than 0 {unit}, in \[") as caught:
-        scenario.validate()
+        validate(scenario)
     assert caught.value.field == field
 
 
@@ -264,7 +266,7 @@ def test_next_to_zero_is_as_good_as_zero_where_that_is_allowed() -> None:
     for field in ("disturbance.bound[2]", "start.position[0]", "model.drag_estimate"):
         SET[field](scenario, 5e-324)
     scenario.plant["drag"] = 0.0
-    scenario.validate()
+    validate(scenario)
 
 
 def in_units(length: float, time: float) -> Scenario:
@@ -297,7 +299,7 @@ def in_units(length: float, time: float) -> Scenario:
 @pytest.mark.parametrize("length", [1e-3, 0.3048, 1.0, 1000.0])
 @pytest.mark.parametrize("time", [1e-3, 0.5, 1.0, 60.0])
 def test_other_peoples_units_pass(length: float, time: float) -> None:
-    in_units(length, time).validate()
+    validate(in_units(length, time))
 
 
 def descent() -> Scenario:
@@ -317,7 +319,7 @@ def descent() -> Scenario:
 
 
 def test_a_long_flight_passes() -> None:
-    descent().validate()
+    validate(descent())
     require_trials(descent(), 300, 50)
 
 
@@ -383,7 +385,7 @@ def test_what_takes_too_much_is_refused_before_it_is_begun(
 ) -> None:
     scenario = dataclasses.replace(parse_scenario(LEAST), **changes)
     with pytest.raises(ScenarioError) as caught:
-        scenario.validate()
+        validate(scenario)
     assert caught.value.field == field
     assert named in str(caught.value) and len(str(caught.value)) < 1000
 
@@ -449,7 +451,7 @@ def test_many_outputs_are_counted_too() -> None:
         goal=Waypoint([1.0] * m),
     )
     with pytest.raises(ScenarioError, match=r"^planner\.intervals: .* GiB"):
-        scenario.validate()
+        validate(scenario)
 
 
 def test_as_many_trials_as_there_is_memory_and_time_for() -> None:
@@ -640,7 +642,7 @@ def test_what_is_wrong_in_python_gets_the_line_of_a_file(
 ) -> None:
     scenario = dataclasses.replace(parse_scenario(LEAST), **changes)
     with pytest.raises(ScenarioError) as caught:
-        scenario.validate()
+        validate(scenario)
     assert caught.value.field == field
     assert str(caught.value).isprintable() and len(str(caught.value)) < 1000
 
@@ -650,7 +652,7 @@ def test_a_list_that_holds_itself_is_shown_without_an_end() -> None:
     loop.append(loop)
     scenario.duration = loop  # type: ignore[assignment]
     with pytest.raises(ScenarioError, match="an endless list"):
-        scenario.validate()
+        validate(scenario)
 
 
 def test_any_kind_of_number_and_list_will_do() -> None:
@@ -663,8 +665,8 @@ def test_any_kind_of_number_and_list_will_do() -> None:
         obstacles=(Sphere(np.full(3, 50.0), 1),),  # type: ignore[arg-type]
         planner=Planner(intervals=np.int64(56)),  # type: ignore[arg-type]
     )
-    scenario.validate()
-    again = parse_scenario(scenario.to_yaml())
+    validate(scenario)
+    again = parse_scenario(to_yaml(scenario))
     assert again.goal == Waypoint([0.0, 10.0, 1.0])
     assert {type(x) for x in again.start.position} == {float}
     assert type(again.planner.intervals) is int
@@ -679,7 +681,7 @@ def test_a_model_of_ones_own_is_checked_where_all_models_are_alike() -> None:
 
     scenario = dataclasses.replace(parse_scenario(LEAST), model=Sluggish())
     with pytest.raises(ScenarioError, match=r"^model\.order: got None"):
-        scenario.validate()
+        validate(scenario)
 
 
 def test_a_stiff_surface_does_not_blow_up_the_smallest_tube() -> None:

@@ -18,7 +18,7 @@ from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Obstacle, Sphere
 from dtmpc_drake.planning import Problem, plan, plan_problem
 from dtmpc_drake.planning.search.best_side import SWITCH, affordable, plan_best_side
 from dtmpc_drake.planning.search.sides import Way, propose, sides_of
-from dtmpc_drake.scenario import Scenario, Waypoint, load_scenario
+from dtmpc_drake.scenario import Scenario, Waypoint, load_scenario, validate
 from dtmpc_drake.visualization import plot_candidates
 from tests.test_random_scenarios import random_scenario
 
@@ -43,7 +43,7 @@ def flight(obstacles: list[Obstacle], outputs: int = 3, **changes) -> Scenario:
     scenario.planner.time_budget = 0.5
     for name, value in changes.items():
         setattr(scenario, name, value)
-    scenario.validate()
+    validate(scenario)
     return scenario
 
 
@@ -250,7 +250,7 @@ def test_bad_settings_are_named(field, value):
     scenario = load_scenario("best_side")
     setattr(scenario.planner, field, value)
     with pytest.raises(ScenarioError, match=rf"planner\.{field}"):
-        scenario.validate()
+        validate(scenario)
 
 
 @pytest.mark.parametrize(

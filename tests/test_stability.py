@@ -31,6 +31,7 @@ from dtmpc_drake.scenario import (
     load_scenario,
     require_stable_simulation,
     shipped_scenarios,
+    to_yaml,
 )
 
 FAST = Scenario(
@@ -113,7 +114,7 @@ def test_a_step_that_is_just_short_enough_flies_well():
 @pytest.mark.parametrize("command", ["simulate", "monte-carlo", "compare"])
 def test_commands_refuse_it_before_any_work(command, tmp_path):
     file = tmp_path / "steep.yaml"
-    file.write_text(with_step(0.01, slope=[400.0]).to_yaml(), encoding="utf-8")
+    file.write_text(to_yaml(with_step(0.01, slope=[400.0])), encoding="utf-8")
     out = tmp_path / "out"
     result = CliRunner().invoke(app, [command, str(file), "--out", str(out)])
     assert result.exit_code == 2

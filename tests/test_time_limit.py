@@ -17,7 +17,7 @@ from dtmpc_drake.planning.deadline import Deadline
 from dtmpc_drake.planning.ipopt import solver as nlp
 from dtmpc_drake.planning.starts import straight_line
 from dtmpc_drake.planning.transcription import Transcription
-from dtmpc_drake.scenario import Planner, Scenario, Waypoint, load_scenario
+from dtmpc_drake.scenario import Planner, Scenario, Waypoint, load_scenario, validate
 from tests.models_for_tests import make_problem
 
 
@@ -100,7 +100,7 @@ def test_all_tries_on_the_way_share_one_limit():
 
 def test_a_time_limit_must_be_positive():
     with pytest.raises(ScenarioError, match=r"planner\.time_limit.*0 s"):
-        blocked(time_limit=0.0).validate()
+        validate(blocked(time_limit=0.0))
 
 
 def test_ipopt_says_that_it_diverges_and_keeps_what_was_best(monkeypatch):

@@ -29,7 +29,7 @@ from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.planning import plan
 from dtmpc_drake.records import verdict
 from dtmpc_drake.records.flights import Flights
-from dtmpc_drake.scenario import Limits, Planner, Scenario, Waypoint
+from dtmpc_drake.scenario import Limits, Planner, Scenario, Waypoint, to_yaml
 from dtmpc_drake.systems import TubeMonitor
 
 SHORT = Scenario(
@@ -51,7 +51,7 @@ def short_plan():
 # The record.
 
 LIMITS = Limits(input=5.0, speed=2.0)
-KEPT = np.array([0.0, 0.5, 0.5, 0.5, -0.1, 1.0, 1.0])
+KEPT = np.array([0.0, 0.5, 0.5, 0.5, -0.1, 1.0, 1.0, -np.inf])
 
 
 def looks(values) -> np.ndarray:
@@ -62,7 +62,7 @@ def looks(values) -> np.ndarray:
             record,
             time=float(time),
             value=np.array(value, dtype=float),
-            where=lambda: np.zeros(7),
+            where=lambda: np.zeros(8),
             largest=verdict.largest_kept(LIMITS),
         )
     return record
@@ -184,7 +184,7 @@ def monitored(short_plan, *, start, end, value, until=1.0, step=0.0015):
     simulator.Initialize()
     simulator.AdvanceTo(until)
     context = monitor.GetMyContextFromRoot(simulator.get_context())
-    return monitor.GetOutputPort("record").Eval(context).reshape(6, 7)
+    return monitor.GetOutputPort("record").Eval(context).reshape(6, 8)
 
 
 def test_a_peak_between_two_samples_of_a_log_is_seen(short_plan):
@@ -251,7 +251,7 @@ def test_flights_that_are_not_finite_are_counted_drawn_and_not_safe(
     record = good.record.copy()
     recorder = Recorder(wild, trials)
     # As the monitor of a flight that blows up after 3 s has them.
-    record[1] = looks([KEPT, np.full(7, np.nan)])
+    record[1] = looks([KEPT, np.full(8, np.nan)])
     for row, time in enumerate(good.time):
         position, seen = good.position[:, row].copy(), np.tile(KEPT, (4, 1))
         seen[:, verdict.POSITION] = good.position_ratio[:, row]
@@ -299,7 +299,7 @@ LATE = dataclasses.replace(
 
 def test_a_flight_into_an_obstacle_ends_with_three_and_says_why(tmp_path):
     file = tmp_path / "late.yaml"
-    file.write_text(LATE.to_yaml(), encoding="utf-8")
+    file.write_text(to_yaml(LATE), encoding="utf-8")
     result = CliRunner().invoke(
         app, ["simulate", str(file), "--out", str(tmp_path / "out")]
     )

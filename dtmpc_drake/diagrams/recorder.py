@@ -41,7 +41,7 @@ class Recorder:
         self._last = 0.0, np.zeros(count)  # time and ‖u‖²
 
     def look(self, time: float, quantities: Array) -> None:
-        """Takes in what `verdict.QUANTITIES` are, ``(T, 7)``, at the end of a step."""
+        """Takes in what `verdict.QUANTITIES` are, ``(T, 8)``, at the end of a step."""
         used = quantities[:, verdict.POSITION]
         used = np.where(np.isnan(used), np.inf, used)
         self._highest = np.maximum(self._highest, used)
@@ -58,7 +58,7 @@ class Recorder:
         self._highest = np.full_like(self._highest, -np.inf)
 
     def flights(self, record: Array) -> Flights:
-        """What was kept, with the record of the flights, ``(6, T, 7)``."""
+        """What was kept, with the record of the flights, ``(6, T, 8)``."""
         trials = self._trials
         return Flights(
             index=np.array([trial.index for trial in trials]),

@@ -35,6 +35,7 @@ from dtmpc_drake.scenario import (
     require_one_plan,
     require_stable_simulation,
     require_trials,
+    validate,
 )
 from dtmpc_drake.visualization import Panel, plot_plans
 
@@ -170,7 +171,7 @@ def run(
         ScenarioError: if the scenario or an argument makes no sense.
         OSError: if the directory cannot be written.
     """
-    scenario.validate()
+    validate(scenario)
     require_one_plan(scenario)
     # Baselines are flown with bandwidths up to the largest.
     bandwidth = dataclasses.replace(scenario.controller.bandwidth, fixed=None)

@@ -23,6 +23,7 @@ from dtmpc_drake.scenario import (
     require_one_plan,
     require_stable_simulation,
     require_trials,
+    validate,
 )
 from dtmpc_drake.visualization import (
     ShownFlight,
@@ -239,7 +240,7 @@ def run(
         ScenarioError: if the scenario or an argument makes no sense.
         OSError: if the directory cannot be written.
     """
-    scenario.validate()
+    validate(scenario)
     require_one_plan(scenario)
     chosen = choose_disturbances(scenario, disturbance)
     for one in chosen.values():

@@ -15,7 +15,7 @@ from dtmpc_drake.records.flight import Flight
 from dtmpc_drake.records.replan import counted, table
 from dtmpc_drake.records.result import Iteration, PlanningResult
 from dtmpc_drake.records.verdict import Breach, in_one_line
-from dtmpc_drake.scenario import Scenario, require_stable_simulation
+from dtmpc_drake.scenario import Scenario, require_stable_simulation, validate
 from dtmpc_drake.visualization import (
     ShownFlight,
     plot_candidates,
@@ -138,7 +138,7 @@ def run(
         ScenarioError: if the scenario makes no sense; nothing is written then.
         OSError: if the directory cannot be written.
     """
-    scenario.validate()
+    validate(scenario)
     require_stable_simulation(scenario)
     out = Path("out", scenario.name) if out is None else Path(out)
     with replacing(out, (*OUTPUTS, ATTEMPT, CANDIDATES, REPLANS)) as work:

@@ -16,7 +16,6 @@ from dtmpc_drake.method.margin import Margin, smallest
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.polynomials import Polynomial
-from dtmpc_drake.records.plan import Plan
 
 FIXED_TOLERANCE = 5e-3
 """Allowed deviation from a fixed bandwidth, relative."""
@@ -47,7 +46,7 @@ class BandwidthLimit:
         alpha = np.broadcast_to(bandwidth, self.low.shape).copy()
         return dataclasses.replace(self, low=alpha, high=alpha)
 
-    def certify(self, plan: Plan, enclosure: Enclosure) -> dict[str, Margin]:
+    def certify(self, enclosure: Enclosure) -> dict[str, Margin]:
         """Margins of the implied α: of its bounds, its rate, and from the plan's own α.
 
         * ``bandwidth_min``, ``bandwidth_max``: α keeps its bounds.
@@ -58,7 +57,6 @@ class BandwidthLimit:
           the implied α has no rate, whatever the layer.
 
         Args:
-            plan: whose layer is polynomial on its grid.
             enclosure: of the plan.
         """
         law, layer, time = enclosure.law, enclosure.layer, enclosure.time
@@ -76,7 +74,7 @@ class BandwidthLimit:
         least, most = self.low, self.high
         if self.is_fixed:
             least, most = least * (1 - FIXED_TOLERANCE), most * (1 + FIXED_TOLERANCE)
-        own = _own_bandwidth(plan, enclosure)
+        own = enclosure.bandwidth
         needed = _needed_model_error(law, layer, own)
         above = room(_needed_model_error(law, layer, _constant(least, layer)))[0]
         below = room(_needed_model_error(law, layer, _constant(most, layer)))[1]
@@ -106,16 +104,6 @@ def _constant(bandwidth: Array, layer: Polynomial) -> Polynomial:
     rows = np.zeros((len(layer.derivatives), 2, len(bandwidth)))
     rows[:, 0] = bandwidth
     return Polynomial(rows, layer.half)
-
-
-def _own_bandwidth(plan: Plan, enclosure: Enclosure) -> Polynomial:
-    """The plan's own α, linear on every interval."""
-    pieces = len(plan.knots) - 1
-    step = (plan.end_time - plan.start_time) / pieces
-    rise = np.diff(plan.bandwidth_knots, axis=0) / step
-    powers = np.stack([plan.bandwidth_knots[:-1], rise], axis=1)
-    parts = len(enclosure.layer.derivatives) // pieces
-    return Polynomial.on_intervals(powers, step, parts)
 
 
 def _needed_model_error(

@@ -22,7 +22,6 @@ from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.tightening import Instant, deviation_bound
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.differences import differences
-from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.registry import Registry
 
 STEP = 1e-6
@@ -64,6 +63,18 @@ class Limit(abc.ABC):
         """What a column of the margins is about, ``axis 1`` or nothing."""
         return ""
 
+    def flown(self, state: Array, control: Array) -> Array | None:
+        """What is left of it at an instant of a flight; None where that says nothing.
+
+        Args:
+            state: x, ``(..., n, m)``.
+            control: u, ``(..., m)``.
+
+        Returns:
+            ``(..., q)``, in `unit`.
+        """
+        return None
+
     @property
     def title(self) -> str:
         """What it is called in a sentence."""
@@ -81,7 +92,7 @@ class Limit(abc.ABC):
         """
         return
 
-    def certify(self, plan: Plan, enclosure: Enclosure) -> dict[str, Margin]:
+    def certify(self, enclosure: Enclosure) -> dict[str, Margin]:
         """Its margins of a certificate, by name."""
         values = self.proven(enclosure)
         places = [self.where(column) for column in range(values.shape[1])]
@@ -217,6 +228,13 @@ class LinearLimit(Limit):
         return np.asarray(
             self.bounds - at.derivative(self.derivative) @ normals.T - used
         )
+
+    def flown(self, state: Array, control: Array) -> Array | None:
+        """See base class."""
+        if self.derivative >= state.shape[-2]:
+            return None
+        normals = self.normals(state.shape[-1])
+        return np.asarray(self.bounds - state[..., self.derivative, :] @ normals.T)
 
     def proven(self, enclosure: Enclosure) -> Array:
         """See base class; Taylor's formula about the middle of each interval."""

@@ -14,7 +14,6 @@ from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.tightening import Instant
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.obstacles import ObstacleSet
-from dtmpc_drake.records.plan import Plan
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -51,7 +50,7 @@ class ObstacleLimit(Limit):
         corridor = enclosure.corridor
         return self._bounds(corridor, np.arange(len(corridor.time) - 1), 1)
 
-    def certify(self, plan: Plan, enclosure: Enclosure) -> dict[str, Margin]:
+    def certify(self, enclosure: Enclosure) -> dict[str, Margin]:
         """See base class."""
         return {self.name: self.clearance(enclosure.corridor)}
 

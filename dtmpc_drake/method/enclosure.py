@@ -52,6 +52,7 @@ class Enclosure:
         corridor: the intervals, y* and Ω.
         reference_radius: how far x* leaves its value at the middle, ``(K, n, m)``.
         layer: Φ*.
+        bandwidth: the plan's own α, linear on every interval.
         error_bound: bounds of ``|ỹ^(k)|`` all along, ``(K, n, m)``.
         claim_excess: how far the plan's own bounds lie above those proven here,
             at least, ``(K, n, m)``; negative where below.
@@ -61,6 +62,7 @@ class Enclosure:
     corridor: Corridor
     reference_radius: Array
     layer: Polynomial
+    bandwidth: Polynomial
     error_bound: Array
     claim_excess: Array
 

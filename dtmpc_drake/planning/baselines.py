@@ -38,7 +38,7 @@ from dtmpc_drake.planning.proof.certify import certify
 from dtmpc_drake.records.certificate import Certificate
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.records.result import PlanningResult, Status
-from dtmpc_drake.scenario import Planner, Scenario
+from dtmpc_drake.scenario import Planner, Scenario, validate
 
 STEPS, HALVINGS = 7, 2
 """Of a sweep: steps from the highest bandwidth to the lowest, and how often they are
@@ -195,7 +195,7 @@ def make_baselines(scenario: Scenario) -> list[Baseline]:
                 velocity_bound="paper" if name == "both_paper" else "comparison",
             ),
         )
-        own.validate()
+        validate(own)
         problem = Problem.from_scenario(own)
         if name == "nominal":
             problem = without_tube(problem)

@@ -17,7 +17,7 @@ from dtmpc_drake.planning.transcription import Transcription
 from dtmpc_drake.records.certificate import Certificate
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.records.result import Iteration, PlanningResult, Status
-from dtmpc_drake.scenario import Planner, Scenario
+from dtmpc_drake.scenario import Planner, Scenario, validate
 
 
 def plan(
@@ -40,7 +40,7 @@ def plan(
         ScenarioError: if the scenario makes no sense.
         ValueError: if `warm_start` is of another order or number of outputs.
     """
-    scenario.validate()
+    validate(scenario)
     return plan_problem(
         Problem.from_scenario(scenario),
         scenario.planner,

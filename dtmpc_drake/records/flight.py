@@ -47,7 +47,7 @@ class Flight:
         tube_ratios: |s|/Φ, |ỹ|/Ω and |dỹ/dt|/W, ``(K, 3, m)``.
         clearance: to each obstacle, ``(K, obstacles)`` in m; one column of
             infinities without obstacles.
-        record: of `records.verdict`, ``(6, 7)``: the worst of everything that was
+        record: of `records.verdict`, ``(6, 8)``: the worst of everything that was
             seen at any step of the integrator, and what broke first.
         status: of the planner at the end.
         known_since: when each obstacle became known, ``(obstacles,)`` in s;

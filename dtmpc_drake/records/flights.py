@@ -27,7 +27,7 @@ class Flights:
         index: numbers of the trials, ``(T,)``.
         seed: of each trial, ``(T,)``.
         parameters: true parameters by name, ``(T,)`` each.
-        record: of `records.verdict`, ``(T, 6, 7)``: the worst of everything that
+        record: of `records.verdict`, ``(T, 6, 8)``: the worst of everything that
             was seen at any step of the integrator, and what broke first.
         effort: ∫‖u‖² dt, ``(T,)``.
         time: ``(K,)``, in s, `REPORT_PERIOD` apart, or the scenario's log period if
@@ -80,7 +80,7 @@ class Flights:
 
     @property
     def broken(self) -> Array:
-        """Which of `verdict.QUANTITIES` each trial broke, ``(T, 7)``."""
+        """Which of `verdict.QUANTITIES` each trial broke, ``(T, 8)``."""
         return verdict.broken(self.record.swapaxes(0, 1))
 
     @property

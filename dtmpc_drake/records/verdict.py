@@ -1,6 +1,6 @@
 """What a flight kept and what it broke: its running extremes, and a verdict on them.
 
-Seven quantities are watched, `QUANTITIES`.  Each has a largest value that is kept
+Eight quantities are watched, `QUANTITIES`.  Each has a largest value that is kept
 (`largest_kept`).  A value that is no number is as bad as can be: it counts as infinite,
 so that nothing which comes later can hide it, and that a flight is not finite is a
 quantity of its own, besides.
@@ -29,15 +29,16 @@ QUANTITIES = (
     "obstacles",
     "input",
     "speed",
+    "own_limits",
 )
 """Whether anything is no number (0 or 1), |s|/Φ, |ỹ|/Ω and |dỹ/dt|/W of the worst axis,
-how deep the plant is inside the nearest obstacle (m), ‖u‖, and the largest speed along
-an axis (m/s).  Of those that break at the same instant the first one here is named."""
-FINITE, LAYER, POSITION, VELOCITY, OBSTACLES, INPUT, SPEED = range(len(QUANTITIES))
+how deep the plant is inside the nearest obstacle (m), ‖u‖, the largest speed along an
+axis (m/s), and what is missing of the limits in `Limits.own`.  Of those that break at the same instant the first one here is named."""
+FINITE, LAYER, POSITION, VELOCITY, OBSTACLES, INPUT, SPEED, OWN = range(len(QUANTITIES))
 
 COLUMNS = ("worst", "worst_time", "worst_where", "first", "since", "first_where")
 """What a record has of each quantity: its largest value, when that was (s) and where
-(index of the axis or obstacle); and the same of the first value that broke the limit,
+(index of the axis, obstacle or limit); and the same of the first value that broke the limit,
 at an infinite time if none did."""
 WORST, WORST_TIME, WORST_WHERE, FIRST, SINCE, FIRST_WHERE = range(len(COLUMNS))
 
@@ -46,14 +47,14 @@ DECIDED = ("certified", "kept", "braking", "given")
 
 
 def largest_kept(limits: Limits) -> Array:
-    """The largest value of every quantity that keeps its limit, ``(7,)``."""
+    """The largest value of every quantity that keeps its limit, ``(8,)``."""
     # To touch an obstacle is to hit it.
     apart = np.nextafter(0.0, -1.0)
-    return np.array([0.0, 1.0, 1.0, 1.0, apart, limits.input, limits.speed])
+    return np.array([0.0, 1.0, 1.0, 1.0, apart, limits.input, limits.speed, 0.0])
 
 
 def empty_record(lead: tuple[int, ...] = ()) -> Array:
-    """The record of flights that nobody has looked at yet, ``(6, *lead, 7)``."""
+    """The record of flights that nobody has looked at yet, ``(6, *lead, 8)``."""
     record = np.zeros((len(COLUMNS), *lead, len(QUANTITIES)))
     record[WORST] = -np.inf
     record[SINCE] = np.inf
@@ -71,12 +72,12 @@ def look(
     """The record after one more look.
 
     Args:
-        record: of the looks before, ``(6, ..., 7)``.
+        record: of the looks before, ``(6, ..., 8)``.
         time: of this look, in s.
-        value: of every quantity, ``(..., 7)``; what is no number is infinite.
-        where: gives the axis or obstacle of each, ``(..., 7)``; called only if
+        value: of every quantity, ``(..., 8)``; what is no number is infinite.
+        where: gives the axis or obstacle of each, ``(..., 8)``; called only if
             anything is worse than before.
-        largest: from `largest_kept`, ``(7,)``.
+        largest: from `largest_kept`, ``(8,)``.
 
     Returns:
         A new record, or the same one if nothing is worse than before.
@@ -95,13 +96,13 @@ def look(
 
 
 def _write(record: Array, column: int, entries: tuple[Any, ...], chosen: Array) -> None:
-    """Writes columns that follow each other, where `chosen`, ``(..., 7)``, is true."""
+    """Writes columns that follow each other, where `chosen`, ``(..., 8)``, is true."""
     for i, entry in enumerate(entries, start=column):
         np.copyto(record[i], entry, where=chosen)
 
 
 def broken(record: Array) -> Array:
-    """Which quantities ever broke their limit, ``(..., 7)``.
+    """Which quantities ever broke their limit, ``(..., 8)``.
 
     What nobody has looked at is not known to be kept, and counts as broken.
     """
@@ -116,7 +117,7 @@ def extremes(record: Array) -> dict[str, float]:
     is minus infinity then.
 
     Args:
-        record: ``(6, ..., 7)``.
+        record: ``(6, ..., 8)``.
     """
     worst = record[WORST].reshape(-1, len(QUANTITIES)).max(axis=0)
     return {
@@ -173,7 +174,7 @@ def breaches(
     """Everything that one flight broke, what broke first before all else.
 
     Args:
-        record: of the flight, ``(6, 7)``.
+        record: of the flight, ``(6, 8)``.
         limits: that it had to keep.
         order: n, for the unit of the input.
         replans: the decisions on the way; one that left nothing safe to fly is
@@ -183,7 +184,7 @@ def breaches(
         return (Breach("not_finite", 0.0, "", np.inf, "nobody looked at the flight"),)
     largest = largest_kept(limits)
     found = [
-        _breach(record[:, k], float(largest[k]), QUANTITIES[k], order)
+        _breach(record[:, k], float(largest[k]), QUANTITIES[k], order, limits)
         for k in np.flatnonzero(broken(record))
     ]
     found += [
@@ -201,12 +202,18 @@ def breaches(
     return tuple(sorted(found, key=lambda breach: breach.time))
 
 
-def _breach(column: Array, largest: float, what: str, order: int) -> Breach:
+def _breach(
+    column: Array, largest: float, what: str, order: int, limits: Limits
+) -> Breach:
     """One quantity in words; `column` is what the record has of it, ``(6,)``."""
     since, first, worst = (float(column[c]) for c in (SINCE, FIRST, WORST))
     if what == "not_finite":
         message = f"the flight is not finite from t = {since:.3f} s on"
         return Breach(what, since, "", np.inf, message)
+    if what == "own_limits":
+        title = limits.own[int(column[FIRST_WHERE])].title
+        message = f"the {title} was broken at t = {since:.3f} s: {first:.5g} too much"
+        return Breach(what, since, title, worst, message)
     words, symbol, place = _WORDS[what]
     highest = " m/s" if order == 1 else f" m/s^{order}"
     unit = {"obstacles": " m", "speed": " m/s", "input": highest}.get(what, "")

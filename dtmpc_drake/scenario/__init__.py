@@ -9,12 +9,14 @@ from dtmpc_drake.scenario.check import (
     require_one_plan,
     require_stable_simulation,
     sensing_range_needed,
+    validate,
 )
 from dtmpc_drake.scenario.files import (
     SHIPPED,
     load_scenario,
     parse_scenario,
     shipped_scenarios,
+    to_yaml,
 )
 from dtmpc_drake.scenario.schema import (
     Bandwidth,
@@ -50,4 +52,6 @@ __all__ = [
     "require_trials",
     "sensing_range_needed",
     "shipped_scenarios",
+    "to_yaml",
+    "validate",
 ]

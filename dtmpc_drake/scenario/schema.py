@@ -411,26 +411,6 @@ class Scenario:
                 state[k] = row
         return state
 
-    def validate(self) -> None:
-        """Checks every field and what they say together; see `scenario.check`.
-
-        Raises:
-            ScenarioError: at the first thing that is wrong.
-        """
-        from dtmpc_drake.scenario.check import validate
-
-        validate(self)
-
-    def to_yaml(self) -> str:
-        """The scenario as a file that `load_scenario` reads.
-
-        Raises:
-            ScenarioError: if something is of a class that no file can name.
-        """
-        from dtmpc_drake.scenario.files import to_yaml
-
-        return to_yaml(self)
-
     def __repr__(self) -> str:
         """Names what a reader wants to know first."""
         return (

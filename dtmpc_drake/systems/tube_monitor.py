@@ -84,8 +84,8 @@ class TubeMonitor(LeafSystem):
     `tube_ratios` is the flattened ``(3, m)`` array |s|/Φ, |ỹ|/Ω, |dỹ/dt|/W (see
     the function of that name).  `clearance` has the distance of the plant's
     true position from the surface of each obstacle, in m and negative inside;
-    without obstacles it is one infinity.  `quantities`, ``(7,)``, is what the
-    `QUANTITIES` of `records.verdict` are now, and `record` its flattened ``(6, 7)``
+    without obstacles it is one infinity.  `quantities`, ``(8,)``, is what the
+    `QUANTITIES` of `records.verdict` are now, and `record` its flattened ``(6, 8)``
     record: the worst so far of each, and when a limit was broken first.  With
     `trials`, `state`, `control` and all outputs have one more axis in front.
 
@@ -110,6 +110,7 @@ class TubeMonitor(LeafSystem):
         self._slope = scenario.slope()
         self._obstacles = scenario.obstacle_set()
         self._largest = verdict.largest_kept(scenario.limits)
+        self._own_limits = tuple(scenario.limits.own)
         self._state = self.DeclareVectorInputPort("state", count * n * m)
         self._plan = DeclarePlanInputPort(self)
         self._control = self.DeclareVectorInputPort("control", count * m)
@@ -189,14 +190,14 @@ class TubeMonitor(LeafSystem):
         output.SetFromVector(clearance.ravel())
 
     def _calc_quantities(self, context: Any, output: Any) -> None:
-        ratios, depth, speed = self._by_place(context)
-        control = self._control.Eval(context)
-        control = unflattened(control, (len(ratios), -1), trials=True)
+        ratios, depth, speed, missing = self._by_place(context)
+        control = self._controls(context)
         value = np.empty((len(ratios), len(verdict.QUANTITIES)))
         value[:, _TUBES] = _last_axis_max(ratios)
         value[:, verdict.OBSTACLES] = _last_axis_max(depth)
         value[:, verdict.INPUT] = np.sqrt((control * control).sum(axis=-1))
         value[:, verdict.SPEED] = _last_axis_max(speed)
+        value[:, verdict.OWN] = _last_axis_max(missing)
         # |s| has every part of the state in it.
         all_of_it = value[:, verdict.LAYER] + value[:, verdict.INPUT]
         value[:, verdict.FINITE] = ~np.isfinite(all_of_it)
@@ -218,16 +219,17 @@ class TubeMonitor(LeafSystem):
         return EventStatus.Succeeded() if news else EventStatus.DidNothing()
 
     def _look(self, context: Any) -> tuple[Array, Array]:
-        """The record before the present instant and with it, ``(6, count, 7)``."""
+        """The record before the present instant and with it, ``(6, count, 8)``."""
         value = self._quantities.Eval(context)
         value = value.reshape(self._shape[0], len(verdict.QUANTITIES))
 
         def where() -> Array:
-            ratios, depth, speed = self._by_place(context)
+            ratios, depth, speed, missing = self._by_place(context)
             place = np.zeros(value.shape)
             place[:, _TUBES] = ratios.argmax(axis=-1)
             place[:, verdict.OBSTACLES] = depth.argmax(axis=-1)
             place[:, verdict.SPEED] = speed.argmax(axis=-1)
+            place[:, verdict.OWN] = missing.argmax(axis=-1)
             return place
 
         before = context.get_discrete_state(self._record_state).value()
@@ -241,13 +243,31 @@ class TubeMonitor(LeafSystem):
         )
         return before, after
 
-    def _by_place(self, context: Any) -> tuple[Array, Array, Array]:
-        """Tube ratios, depths in obstacles and speeds, each with its places last."""
+    def _by_place(self, context: Any) -> tuple[Array, Array, Array, Array]:
+        """Tube ratios, depths in obstacles, speeds, and what is missing of own limits.
+
+        Each has its places along the last axis.
+        """
         count, _, m = self._shape
         state = self._state.Eval(context).reshape(self._shape)
         ratios = self._tube_ratios.Eval(context).reshape(count, 3, m)
         depth = -self._clearance.Eval(context).reshape(count, -1)
-        return ratios, depth, self._speed(context, state)
+        missing = self._missing(state, context)
+        return ratios, depth, self._speed(context, state), missing
+
+    def _controls(self, context: Any) -> Array:
+        """U of every plant, ``(count, m)``."""
+        control = self._control.Eval(context)
+        return unflattened(control, (self._shape[0], -1), trials=True)
+
+    def _missing(self, state: Array, context: Any) -> Array:
+        """What is missing of each own limit, ``(count, at least 1)``."""
+        missing = np.full((len(state), max(len(self._own_limits), 1)), -np.inf)
+        for i, limit in enumerate(self._own_limits):
+            left = limit.flown(state, self._controls(context))
+            if left is not None:
+                missing[:, i] = -left.min(axis=-1)
+        return missing
 
     def _speed(self, context: Any, state: Array) -> Array:
         """|dy/dt|, ``(count, m)``; minus infinity where it cannot be known yet."""

@@ -40,3 +40,7 @@ class PowerLimit(SampledLimit):
 
     def check(self, path, setting):
         require_positive(f"{path}.bound", self.bound, "")
+
+    def flown(self, state, control):
+        power = np.abs((control * state[..., 1, :]).sum(axis=-1))
+        return self.bound - power[..., None]

@@ -18,6 +18,7 @@ from pydrake.solvers import IpoptSolver, MathematicalProgram, SolverOptions
 
 from dtmpc_drake.costs import InputCost
 from dtmpc_drake.limits import LinearLimit, SampledLimit
+from dtmpc_drake.logs import muted
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.planning.backend import (
     Backend,
@@ -285,7 +286,8 @@ class _Program:
                 # IPOPT takes no limit of zero.
                 seconds = max(deadline.left, 1e-3)
                 options.SetOption(IpoptSolver.id(), "max_wall_time", seconds)
-            result = IpoptSolver().Solve(self.program, None, options)
+            with muted("drake", "IPOPT "):  # what it says is in the history
+                result = IpoptSolver().Solve(self.program, None, options)
         z = self.scale * np.asarray(result.GetSolution(self.x))
         status = result.get_solver_details().ConvertStatusToString()
         return z, result.is_success(), status

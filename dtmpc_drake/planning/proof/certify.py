@@ -81,8 +81,8 @@ def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Ma
     n, time = problem.law.order, enclosure.time
     margins: dict[str, Margin] = {}
     for limit in problem.limits:
-        margins |= limit.certify(plan, enclosure)
-    margins |= problem.bandwidth.certify(plan, enclosure)
+        margins |= limit.certify(enclosure)
+    margins |= problem.bandwidth.certify(enclosure)
     thinnest = enclosure.layer.derivatives[:, 0] - enclosure.layer.radius(0)
     margins["boundary_layer"] = smallest(time, thinnest, "m/s", "axis")
     tolerance = np.full((n, 1), TUBE_TOLERANCE)

@@ -108,6 +108,7 @@ def enclose(
         ),
         reference_radius=np.stack([reference.radius(k) for k in range(n)], axis=1),
         layer=layer,
+        bandwidth=pieces.bandwidth(),
         error_bound=np.stack([arc.highest(h) for arc in proven], axis=1),
         claim_excess=np.stack(excess, axis=1),
     )
@@ -183,6 +184,15 @@ class _Pieces:
         return Polynomial.on_intervals(
             self.plan.layer_coefficients, self.tube_step, self.parts
         )
+
+    def bandwidth(self) -> Polynomial:
+        """The plan's own α, linear on every interval."""
+        plan, count = self.plan, len(self.plan.knots) - 1
+        step = (plan.end_time - plan.start_time) / count
+        rise = np.diff(plan.bandwidth_knots, axis=0) / step
+        powers = np.stack([plan.bandwidth_knots[:-1], rise], axis=1)
+        parts = (len(plan.tube_times) - 1) // count * self.parts
+        return Polynomial.on_intervals(powers, step, parts)
 
     def hermite(self, value: Array, rate: Array) -> Polynomial:
         """What the samples of the plan's own tube stand for."""
