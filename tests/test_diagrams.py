@@ -192,8 +192,8 @@ def test_the_diagram_exports_its_ports_by_name(planned: Planned) -> None:
         "disturbance": 3,
         "tube_ratios": 9,
         "clearance": 2,
-        "quantities": 7,
-        "record": 6 * 7,
+        "quantities": 8,
+        "record": 6 * 8,
     }
     for name, size in sizes.items():
         assert loop.GetOutputPort(name).Eval(context).shape == (size,)

@@ -33,13 +33,14 @@ QUANTITIES = (
 )
 """Whether anything is no number (0 or 1), |s|/Φ, |ỹ|/Ω and |dỹ/dt|/W of the worst axis,
 how deep the plant is inside the nearest obstacle (m), ‖u‖, the largest speed along an
-axis (m/s), and what is missing of the limits in `Limits.own`.  Of those that break at the same instant the first one here is named."""
+axis (m/s), and what is missing of the limits in `Limits.own`.  Of those that break at
+the same instant the first one here is named."""
 FINITE, LAYER, POSITION, VELOCITY, OBSTACLES, INPUT, SPEED, OWN = range(len(QUANTITIES))
 
 COLUMNS = ("worst", "worst_time", "worst_where", "first", "since", "first_where")
 """What a record has of each quantity: its largest value, when that was (s) and where
-(index of the axis, obstacle or limit); and the same of the first value that broke the limit,
-at an infinite time if none did."""
+(index of the axis, obstacle or limit); and the same of the first value that broke the
+limit, at an infinite time if none did."""
 WORST, WORST_TIME, WORST_WHERE, FIRST, SINCE, FIRST_WHERE = range(len(COLUMNS))
 
 DECIDED = ("certified", "kept", "braking", "given")
