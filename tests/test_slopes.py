@@ -76,7 +76,7 @@ def test_differences_see_a_kink_from_both_sides_and_skip_what_does_not_matter():
     np.testing.assert_allclose(by_state, [[0, 0, 0, 0], [0, 0, 0, 0.5]], atol=1e-12)
     np.testing.assert_allclose(by_radius, [[2, 0, 0, 0], [0, 2, 0, 0]], atol=1e-8)
     np.testing.assert_allclose(
-        found.bend[0], [[0, 0, 1.0, 0], [0, 0, 0, 0.5]], atol=1e-12
+        found.second[0], [[0, 0, 1.0, 0], [0, 0, 0, 0.5]], atol=1e-12
     )
     # Two of four rows matter, with two axes each: ahead and behind.
     assert calls == [5, 8]

@@ -97,10 +97,10 @@ class ObstacleLimit(Limit):
         """
         ends = np.stack([start, start + stride])
         inner = start[:, None] + np.arange(stride)
-        bend = corridor.reference.largest(2) + corridor.position_bend
+        curvature = corridor.reference.largest(2) + corridor.position_curvature
         return self.field.clearance_along(
             corridor.reference.at_ends()[ends],
             corridor.position_tube[ends],
-            leave=(stride * corridor.step) ** 2 / 8 * bend[inner].max(axis=1),
+            leave=(stride * corridor.step) ** 2 / 8 * curvature[inner].max(axis=1),
             margin=self.tube_margin,
         )

@@ -28,14 +28,14 @@ class Corridor:
         parts: intervals in each step of the plan's own tube, a power of two.
         reference: y*.
         position_tube: Ω where intervals meet, ``(K + 1, m)``.
-        position_bend: a bound of ``|d²Ω/dt²|``, ``(K, m)``.
+        position_curvature: a bound of ``|d²Ω/dt²|``, ``(K, m)``.
     """
 
     time: Array
     parts: int
     reference: Polynomial
     position_tube: Array
-    position_bend: Array
+    position_curvature: Array
 
     @property
     def step(self) -> float:

@@ -66,7 +66,7 @@ def second_differences(
 ) -> Array:
     """How much steeper a batched function is ahead of a point than behind, halved.
 
-    With the slope of `jacobian`, ``slope dx + bend |dx|`` agrees with the function at
+    With the slope of `jacobian`, ``slope dx + second |dx|`` agrees with the function at
     both ends of the step; at a kink it is the function.
 
     Args:

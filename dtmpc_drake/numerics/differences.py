@@ -20,13 +20,13 @@ class Differences:
     Attributes:
         value: ``(K, r)``.
         slope: by the state and then by the box's radius, ``(K, r, 2 n m)``.
-        bend: by the state, ``(K, r, n m)``: with it, ``slope dx + bend |dx|`` agrees
-            with the function at both ends of the difference.
+        second: second differences over twice the width, by the state, ``(K, r, n m)``:
+            ``slope dx + second |dx|`` agrees with the function at both ends.
     """
 
     value: Array
     slope: Array
-    bend: Array
+    second: Array
 
 
 def differences(
@@ -57,7 +57,7 @@ def differences(
     value = moved[0]
     seen = np.flatnonzero((moved[1:] != value).any(axis=(1, 2)))
     slope = np.zeros((K, value.shape[1], 2 * n, m))
-    bend = np.zeros_like(slope)
+    second = np.zeros_like(slope)
     if len(seen):
         moves = np.zeros((len(seen), m, 1, 2 * n, m))
         for i, row in enumerate(seen):
@@ -66,9 +66,11 @@ def differences(
         width = 2 * size[seen, None, None, None]
         # (rows seen, m, K, r) to (K, r, rows seen, m)
         slope[:, :, seen] = ((ahead - behind) / width).transpose(2, 3, 0, 1)
-        bend[:, :, seen] = ((ahead + behind - 2 * value) / width).transpose(2, 3, 0, 1)
+        second[:, :, seen] = ((ahead + behind - 2 * value) / width).transpose(
+            2, 3, 0, 1
+        )
     shape = (K, value.shape[1], -1)
-    return Differences(value, slope.reshape(shape), bend[:, :, :n].reshape(shape))
+    return Differences(value, slope.reshape(shape), second[:, :, :n].reshape(shape))
 
 
 class Parts:

@@ -31,7 +31,7 @@ def hold_plan(scenario: Scenario) -> Plan:
     rest = np.zeros((n + 1, m))
     rest[0] = start[0]
     error = start + scenario.initial_error_state() - rest[:n]
-    # A hair inside the limit, where plans may go on from it.
+    # A little inside the limit, where plans may go on from it.
     highest = np.full(m, bandwidth.interval()[1])
     if bandwidth.fixed is None:
         highest *= 1 - scenario.planner.options.bandwidth_reserve

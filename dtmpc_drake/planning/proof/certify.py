@@ -27,7 +27,7 @@ margins rest; in m for the position tube."""
 TOP_TOLERANCE = 2e-3
 """The same for the highest derivative that is a state (for n = 2 the velocity tube,
 in m/s), whose bound depends on itself and, through Δ̄, on the whole tube."""
-HAIR = 1e-3
+CLOSE = 1e-3
 """So much may an obstacle's bound be too low on the longest intervals, in m: one
 that is lower is not looked at on shorter ones."""
 OF_THE_SAMPLES = frozenset({"tube", "bandwidth_knots"})
@@ -65,7 +65,7 @@ def certify(plan: Plan, problem: Problem) -> Certificate:
             if certificate.kept:
                 break
             name, margin = certificate.worst
-            hopeless = name == "obstacles" and margin.value < -HAIR
+            hopeless = name == "obstacles" and margin.value < -CLOSE
             # What shorter intervals gain is of first order in their length, so it
             # will not be more than it was.
             gained = margin.value - values.get(name, -np.inf)

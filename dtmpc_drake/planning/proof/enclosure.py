@@ -59,12 +59,12 @@ def enclose(
         start=problem.tube_start,
         step=h,
     )
-    fastest, bends = layer.largest(1), [layer.largest(2)]
+    fastest, second_rates = layer.largest(1), [layer.largest(2)]
     for j in range(n - 2, -1, -1):
         above = fastest
         fastest = np.abs(rates[:-1, j]) + h * above
-        bends.insert(0, slope * fastest + above)
-    curvature = np.stack(bends, axis=1)
+        second_rates.insert(0, slope * fastest + above)
+    curvature = np.stack(second_rates, axis=1)
     proven = [
         _Arc(
             cascade_bound(stages[:-1], slope, k),
@@ -94,7 +94,7 @@ def enclose(
         )
     excess = [
         np.minimum(c.at_ends()[:-1] - a.start, c.at_ends()[1:] - a.end)
-        - h**2 / 8 * (a.bend + c.largest(2))
+        - h**2 / 8 * (a.curvature + c.largest(2))
         for a, c in zip(proven, claimed, strict=True)
     ]
     return Enclosure(
@@ -104,7 +104,7 @@ def enclose(
             parts=pieces.parts,
             reference=reference,
             position_tube=stages[:, 0],
-            position_bend=curvature[:, 0],
+            position_curvature=curvature[:, 0],
         ),
         reference_radius=np.stack([reference.radius(k) for k in range(n)], axis=1),
         layer=layer,
@@ -132,7 +132,7 @@ def claimed_corridor(plan: Plan, *, longest: float, slack: float) -> Corridor:
         parts=pieces.parts,
         reference=pieces.reference(),
         position_tube=tube.at_ends() + slack,
-        position_bend=tube.largest(2),
+        position_curvature=tube.largest(2),
     )
 
 
@@ -202,15 +202,17 @@ class _Pieces:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Arc:
-    """A function on every interval: at both ends, and a bound of its bend."""
+    """A function on every interval: its ends, and a bound of its second derivative."""
 
     start: Array
     end: Array
-    bend: Array
+    curvature: Array
 
     def highest(self, step: float) -> Array:
         """A bound all along the interval."""
-        return np.asarray(np.maximum(self.start, self.end) + step**2 / 8 * self.bend)
+        return np.asarray(
+            np.maximum(self.start, self.end) + step**2 / 8 * self.curvature
+        )
 
 
 def _velocity_tube(

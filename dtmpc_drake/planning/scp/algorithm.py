@@ -397,7 +397,7 @@ def line_search(
     trial = tried(step.z, 1.0)
     if kept(trial):
         return trial
-    bend = np.zeros_like(step.z)
+    correction = np.zeros_like(step.z)
     if step.tries > 2 and not deadline.passed:
         program.correct(step.z, trial.iterate)
         corrected, _ = program.solve(deadline)
@@ -406,10 +406,10 @@ def line_search(
             if kept(trial):
                 return trial
             # What is of second order shrinks with the square of the step.
-            bend = corrected - step.z
+            correction = corrected - step.z
     fraction = 0.5
     while step.tries > 1 and fraction > tr.options.shortest_step:
-        trial = tried(fraction * step.z + fraction**2 * bend, fraction)
+        trial = tried(fraction * step.z + fraction**2 * correction, fraction)
         if kept(trial):
             return trial
         fraction /= 2

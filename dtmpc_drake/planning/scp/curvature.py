@@ -79,12 +79,12 @@ def sampled_curvature(
         nodes = np.flatnonzero(price[:-1].any(axis=1))
         if not len(nodes):
             continue
-        bend = limit.curvature(tr.local_at(iterate, nodes).instant)
-        if bend is None:
+        hessian = limit.curvature(tr.local_at(iterate, nodes).instant)
+        if hessian is None:
             continue
-        bend = bend * price[nodes].sum(axis=1)[:, None, None]
+        hessian = hessian * price[nodes].sum(axis=1)[:, None, None]
         basis = tr.basis_at(nodes)[:, tr.order]
-        each = np.einsum("pc,pij,pd->pcidj", basis, bend, basis, optimize=True)
+        each = np.einsum("pc,pij,pd->pcidj", basis, hessian, basis, optimize=True)
         np.add.at(result, nodes // tr.tube_steps, each.reshape(-1, width, width))
     return result
 
@@ -108,8 +108,8 @@ def tube_curvature(
         price = multipliers.planes[planes.piece, planes.obstacle]
         p, c = np.nonzero(price)
         tube = iterate.tube_controls[planes.piece[p], c]
-        bend = planes.size_curvature(p, tube) * price[p, c, None, None]
-        each = by[c].swapaxes(1, 2) @ bend @ by[c]
+        hessian = planes.size_curvature(p, tube) * price[p, c, None, None]
+        each = by[c].swapaxes(1, 2) @ hessian @ by[c]
         np.add.at(result, planes.piece[p], each)
     return result
 

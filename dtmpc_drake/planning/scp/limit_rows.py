@@ -151,12 +151,12 @@ class SampledRows(Block):
             def used(x: Array) -> Array:
                 return -limit.margins(law, Local.unpack(x, n, m).instant)
 
-            bend = second_differences(used, local.pack(), secant, v.kinked)
-            bend = kinks(bend, secant)
-            bend = np.concatenate(
-                [bend.reshape(count, -1), bend[self._facets.place, 0]]
+            second = second_differences(used, local.pack(), secant, v.kinked)
+            second = kinks(second, secant)
+            second = np.concatenate(
+                [second.reshape(count, -1), second[self._facets.place, 0]]
             )
-            values[:, of_moves] -= _at_ends(bend, later)
+            values[:, of_moves] -= _at_ends(second, later)
         return values / limit.scale, v.piece_columns[piece]
 
     def _margins(self, at: Iterate) -> Array:
@@ -309,11 +309,11 @@ def _deviation_rows(
     by_model = differences(of_box, local.state, local.error_bound, secant).slope
     eye = np.broadcast_to(np.eye(m), (K, m, m))
     by = by_local(local, by_model, np.zeros_like(eye), eye) @ v.local_matrix
-    bend = np.zeros((K, m, moves))
+    second = np.zeros((K, m, moves))
     if moves:
         flat = local.pack()
-        bend = kinks(second_differences(used, flat, secant, v.kinked), secant)
-    return np.concatenate([by, bend], axis=2)
+        second = kinks(second_differences(used, flat, secant, v.kinked), secant)
+    return np.concatenate([by, second], axis=2)
 
 
 def by_local(local: Local, by_model: Array, by_highest: Array, by_gain: Array) -> Array:

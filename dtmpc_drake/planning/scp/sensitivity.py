@@ -84,8 +84,8 @@ def transitions(
     by_tube = by_tube + error.slope[:, :, n * m :] @ np.concatenate(tr.state_bounds)
     by_alpha, by_tube = by_alpha[index], by_tube[index]
     by_state = error.slope[index, :, : n * m]
-    # More forcing only makes the tube larger, so the bend may be left to be chosen.
-    bend = kinks(error.bend[index][..., kinked], secant)
+    # More forcing only makes the tube larger, so the kink may be left to be chosen.
+    second = kinks(error.second[index][..., kinked], secant)
     # Columns of the input: α interpolated, the state through its spline.
     basis = np.stack(
         [splines.basis(tr.degree, k, local_time, tr.step) for k in range(n)]
@@ -98,8 +98,8 @@ def transitions(
             by_alpha * (1 - weight),
             by_alpha * weight,
             by_coefficient.reshape(N, points + 1, S * m, -1),
-            bend * (1 - weight),
-            bend * weight,
+            second * (1 - weight),
+            second * weight,
         ],
         axis=-1,
     )
@@ -158,9 +158,9 @@ def _lobatto(A: list[Array], B: list[Array], X: Array, step: float) -> Array:
     return np.asarray(X + step / 6 * (k1 + 4 * k2 + k3))
 
 
-def kinks(bend: Array, secant: Array | float) -> Array:
-    """Bends that are kinks: upwards, and more than a smooth function has."""
-    return np.asarray(np.where(bend > SMOOTH * secant, bend, 0.0))
+def kinks(second: Array, secant: Array | float) -> Array:
+    """Second differences that are kinks: upwards, and more than smooth ones."""
+    return np.asarray(np.where(second > SMOOTH * secant, second, 0.0))
 
 
 def _axis_by_axis(p: Problem, alpha: Array, states: Array) -> tuple[Array, Array]:

@@ -47,7 +47,7 @@ from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.records.result import Iteration, PlanningResult
 from dtmpc_drake.scenario import Planner
 
-COARSEST = 14
+FEWEST_INTERVALS = 14
 """Candidates are solved on half of the plan's intervals, but no fewer than this."""
 ITERATIONS = 5
 """Convex programs for each candidate: enough to compare costs within some percent."""
@@ -267,7 +267,9 @@ def affordable(problem: Problem, settings: Planner) -> tuple[int, int]:
 
 
 def _coarse_intervals(settings: Planner) -> int:
-    return max(min(COARSEST, settings.intervals), math.ceil(settings.intervals / 2))
+    return max(
+        min(FEWEST_INTERVALS, settings.intervals), math.ceil(settings.intervals / 2)
+    )
 
 
 def _solve_coarsely(

@@ -62,7 +62,9 @@ def plot_histories(
     rows = ["error", "sliding", "bandwidth", "speed"]
     if n == 1:
         rows.remove("sliding")  # s is the error itself
-    figure, panels, bottom = _panels(rows, m)
+    own = scenario.limits.own
+    figure, panels, bottoms = _panels(rows, m, 1 + len(own))
+    bottom = bottoms[0]
     for i in range(m):
         column = {name: panels[name, i] for name in rows}
         title = f"along {axis_name(i, m)}" if m > 1 else ""
@@ -87,7 +89,15 @@ def plot_histories(
     for name in rows:
         panels[name, 0].set_ylabel(labels[name])
     bottom.set_ylabel(f"input norm ‖u‖\n({unit_of(n)})")
-    bottom.set_xlabel("time (s)")
+    for limit, left, axes in zip(own, planned.own, bottoms[1:], strict=True):
+        axes.axhline(0.0, **_LIMIT)
+        axes.plot(planned.time, left, **_TIGHTENED)
+        seen = None if flight is None else limit.flown(flight.state, flight.control)
+        if flight is not None and seen is not None:
+            axes.plot(flight.time, seen.min(axis=-1), **_FLOWN)
+        unit = limit.unit(scenario.sliding_law())
+        axes.set_ylabel(f"left of the\n{limit.title}\n({unit})")
+    bottoms[-1].set_xlabel("time (s)")
     bottom.set_xlim(planned.time[0], planned.time[-1])
     for axes in figure.axes:
         axes.grid(True, color=LIGHT_GREY, lw=0.5)
@@ -123,6 +133,7 @@ class _Planned:
         rate_bound: of |dỹ/dt|, ``(K, m)``.
         feedforward: u*, ``(K, m)``.
         input_bound: of ‖u‖ anywhere in the tube, ``(K,)``.
+        own: what is left of each own limit anywhere in the tube, ``(K,)`` each.
     """
 
     time: FloatArray
@@ -133,6 +144,7 @@ class _Planned:
     rate_bound: FloatArray
     feedforward: FloatArray
     input_bound: FloatArray
+    own: list[FloatArray]
 
     @classmethod
     def of(cls, scenario: Scenario, plan: Plan) -> _Planned:
@@ -152,20 +164,27 @@ class _Planned:
             rate_bound=rate_bound(law, at),
             feedforward=law.model.input_for(state, highest - law.model.drift(state)),
             input_bound=input_bound(law, at),
+            own=[each.margins(law, at).min(axis=-1) for each in scenario.limits.own],
         )
 
 
 def _panels(
-    rows: list[str], columns: int
-) -> tuple[Figure, dict[tuple[str, int], Axes], Axes]:
-    """A figure with panels by row and column, and one below them all."""
+    rows: list[str], columns: int, below: int
+) -> tuple[Figure, dict[tuple[str, int], Axes], list[Axes]]:
+    """A figure with panels by row and column, and some as wide below them."""
+    count = len(rows) + below
     figure = Figure(
-        figsize=(max(6.0, 1.5 + 2.9 * columns), 1.75 * (len(rows) + 1) + 0.5),
+        figsize=(max(6.0, 1.5 + 2.9 * columns), 1.75 * count + 0.5),
         dpi=150,
         layout="constrained",
     )
-    grid = figure.add_gridspec(len(rows) + 1, columns)
-    bottom = figure.add_subplot(grid[-1, :])
+    grid = figure.add_gridspec(count, columns)
+    bottom = figure.add_subplot(grid[len(rows), :])
+    bottoms = [bottom]
+    for row in range(len(rows) + 1, count):
+        bottoms.append(figure.add_subplot(grid[row, :], sharex=bottom))
+    for axes in bottoms[:-1]:
+        axes.tick_params(labelbottom=False)
     panels: dict[tuple[str, int], Axes] = {}
     for row, name in enumerate(rows):
         for i in range(columns):
@@ -173,7 +192,7 @@ def _panels(
                 grid[row, i], sharex=bottom, sharey=panels.get((name, 0))
             )
             panels[name, i].tick_params(labelbottom=False, labelleft=i == 0)
-    return figure, panels, bottom
+    return figure, panels, bottoms
 
 
 def _draw_planned(
