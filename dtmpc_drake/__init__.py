@@ -11,8 +11,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from dtmpc_drake.costs import Cost
     from dtmpc_drake.diagrams import MakeClosedLoop, Simulate
     from dtmpc_drake.experiments import run_comparison, run_experiment, run_monte_carlo
+    from dtmpc_drake.limits import Limit
     from dtmpc_drake.models import (
         DragDoubleIntegrator,
         IntegratorChain,
@@ -32,11 +34,13 @@ __version__ = "0.1.0"
 
 __all__ = [
     "Certificate",
+    "Cost",
     "Cylinder",
     "DragDoubleIntegrator",
     "Ellipsoid",
     "Flight",
     "IntegratorChain",
+    "Limit",
     "MakeClosedLoop",
     "Model",
     "Obstacle",
@@ -63,8 +67,10 @@ __all__ = [
 ]
 
 _ROOMS = {
+    "costs": ("Cost",),
     "diagrams": ("MakeClosedLoop", "Simulate"),
     "experiments": ("run_comparison", "run_experiment", "run_monte_carlo"),
+    "limits": ("Limit",),
     "models": ("DragDoubleIntegrator", "IntegratorChain", "Model", "SampledBoxBounds"),
     "obstacles": ("Cylinder", "Ellipsoid", "Obstacle", "Sphere"),
     "planning": ("Problem", "certify", "plan", "replan"),

@@ -250,3 +250,45 @@ def test_the_same_names_from_two_modules_are_refused(harbour: Scenario) -> None:
     """Imported, and loaded as a plugin: nobody could tell one Boat from the other."""
     with pytest.raises(ScenarioError, match=r"Lane of .* has the name of tests"):
         load_plugin(PLUGIN)
+
+
+USE = """
+from dtmpc_drake import Scenario, plan
+from dtmpc_drake.scenario import Costs, Limits
+from tests.extensions.cost import Lane
+from tests.extensions.disturbance import Waves
+from tests.extensions.limit import PowerLimit
+from tests.extensions.model import Boat
+from tests.extensions.obstacle import Box
+
+scenario = Scenario(
+    model=Boat(),
+    disturbance=Waves(),
+    obstacles=[Box([0.0, 1.0], [0.1, 0.1])],
+    limits=Limits(own=[PowerLimit(3.0)]),
+    cost=Costs(own=[Lane([1.0, 0.0])]),
+)
+reveal_type(plan(scenario).certified)
+"""
+
+
+@pytest.mark.slow
+def test_a_type_checker_takes_them_where_the_library_s_own_are_taken(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "use.py").write_text(USE)
+    root = PLUGIN.parents[2]
+    ended = subprocess.run(
+        [
+            *(sys.executable, "-m", "mypy", "--namespace-packages"),
+            *("--config-file", str(root / "pyproject.toml")),
+            *("--explicit-package-bases", str(tmp_path / "use.py")),
+        ],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "MYPYPATH": str(root)},
+        cwd=root,
+    )
+    assert ended.returncode == 0, ended.stdout
+    (revealed,) = [line for line in ended.stdout.splitlines() if "Revealed" in line]
+    assert "bool" in revealed

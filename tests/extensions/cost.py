@@ -1,11 +1,15 @@
 """A cost that the library does not have: of being away from a lane."""
 
+from __future__ import annotations
+
 import dataclasses
 
 import numpy as np
 
-from dtmpc_drake.checks import require_length
+from dtmpc_drake.checks import Setting, require_length
 from dtmpc_drake.costs import Cost, register_cost
+from dtmpc_drake.method.sliding import SlidingLaw
+from dtmpc_drake.numerics.arrays import Array
 
 
 @register_cost
@@ -23,9 +27,9 @@ class Lane(Cost):
     offset: float = 0.0
     weight: float = 1.0
 
-    def residuals(self, law, state, highest):
+    def residuals(self, law: SlidingLaw, state: Array, highest: Array) -> Array:
         away = state[..., 0, :] @ np.array(self.normal) - self.offset
-        return np.sqrt(self.weight) * away[..., None]
+        return np.asarray(np.sqrt(self.weight) * away)[..., None]
 
-    def check(self, path, setting):
+    def check(self, path: str, setting: Setting) -> None:
         require_length(f"{path}.normal", self.normal, setting.num_outputs)

@@ -51,7 +51,7 @@ class Boat(Model):
         return self.model_error_bound(np.maximum(np.abs(x) - radius, 0.0))
 
     def constant_model_error_bound(self, speed: float) -> Array:
-        return self.share * np.array(self.damping) * magnitude(speed)
+        return self.share * np.array(self.damping) * magnitude(np.asarray(speed))
 
     def inverse_input_matrix(self, x: Array) -> Array:
         return np.broadcast_to(self.mass * np.eye(2), (*x.shape[:-2], 2, 2))

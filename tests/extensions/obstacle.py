@@ -1,10 +1,13 @@
 """An obstacle that the library does not have: a box, turned about z."""
 
+from __future__ import annotations
+
 import dataclasses
 
 import numpy as np
 
-from dtmpc_drake.checks import require_length, require_positive
+from dtmpc_drake.checks import Setting, require_length, require_positive
+from dtmpc_drake.numerics.arrays import FloatArray
 from dtmpc_drake.obstacles import Obstacle, register_obstacle
 
 
@@ -23,14 +26,14 @@ class Box(Obstacle):
     half: list[float]
     yaw: float = 0.0
 
-    def support(self, direction):
+    def support(self, direction: FloatArray) -> FloatArray:
         return self.center + np.copysign(self.half, direction @ self.axes) @ self.axes.T
 
-    def nearest(self, point):
+    def nearest(self, point: FloatArray) -> FloatArray:
         half, own = np.array(self.half), (point - self.center) @ self.axes
         return self.center + np.clip(own, -half, half) @ self.axes.T
 
-    def check(self, path, setting):
+    def check(self, path: str, setting: Setting) -> None:
         require_length(f"{path}.center", self.center, setting.num_outputs)
         require_length(f"{path}.half", self.half, setting.num_outputs)
         for i, value in enumerate(self.half):
@@ -38,7 +41,7 @@ class Box(Obstacle):
         super().check(path, setting)
 
     @property
-    def axes(self):
+    def axes(self) -> FloatArray:
         axes, angle = np.eye(len(self.center)), np.deg2rad(self.yaw)
         axes[0, :2], axes[1, :2] = (
             (np.cos(angle), -np.sin(angle)),
