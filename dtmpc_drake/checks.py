@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import ClassVar
 
 from dtmpc_drake.errors import require
 
@@ -40,6 +41,27 @@ class Setting:
     num_outputs: int
     order: int
     duration: float
+
+
+class Part:
+    """What a scenario is made of: it answers for its own fields."""
+
+    required: ClassVar[tuple[str, ...]] = ()
+    """Fields that a file must give, though they have a default."""
+
+    def check(self, path: str, setting: Setting) -> None:
+        """Refuses fields that make no sense; extended by whoever has some.
+
+        All fields of a dataclass are of the types that it says by then, and finite.
+
+        Args:
+            path: of this section, for errors.
+            setting: what it must fit.
+
+        Raises:
+            ScenarioError: that names the field.
+        """
+        return
 
 
 def require_positive(field: str, value: float, unit: str) -> None:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import abc
-from typing import ClassVar
 
 import numpy as np
 
-from dtmpc_drake.checks import Setting
+from dtmpc_drake.checks import Part
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.differences import differences
@@ -17,23 +16,8 @@ STEP = 1e-6
 """Half-width of the differences along y*^(n)."""
 
 
-class Cost(abc.ABC):
+class Cost(Part, abc.ABC):
     """A running cost: a sum of squares of what the reference is at one instant."""
-
-    required: ClassVar[tuple[str, ...]] = ()
-    """Fields that a file must give, though they have a default."""
-
-    def check(self, path: str, setting: Setting) -> None:
-        """Refuses fields that make no sense; of a cost in a scenario.
-
-        Args:
-            path: of this section, for errors.
-            setting: what it must fit.
-
-        Raises:
-            ScenarioError: that names the field.
-        """
-        return
 
     @abc.abstractmethod
     def residuals(self, law: SlidingLaw, state: Array, highest: Array) -> Array:

@@ -26,6 +26,7 @@ from pydrake.systems.framework import (
 from pydrake.systems.primitives import Adder, ConstantVectorSource, Gain, RandomSource
 
 from dtmpc_drake.checks import (
+    Part,
     Setting,
     require_length,
     require_magnitude,
@@ -43,7 +44,7 @@ LOOK = 0.04
 """Between two times at which a push may change its side, in s."""
 
 
-class Disturbance(abc.ABC):
+class Disturbance(Part, abc.ABC):
     """What acts on the plant beside its input: any d with ``|d| <= bound``.
 
     A subclass that is a dataclass can be part of a scenario file.
@@ -68,17 +69,7 @@ class Disturbance(abc.ABC):
         """
 
     def check(self, path: str, setting: Setting) -> None:
-        """Refuses fields that make no sense; extended by whoever has more of them.
-
-        All of them are of the types that the dataclass says, and finite.
-
-        Args:
-            path: of this section, for errors.
-            setting: what it must fit.
-
-        Raises:
-            ScenarioError: that names the field.
-        """
+        """See base class."""
         require_length(f"{path}.bound", self.bound, setting.num_outputs)
         for i, bound in enumerate(self.bound):
             field = f"{path}.bound[{i}]"

@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from dtmpc_drake.checks import Setting
+from dtmpc_drake.checks import Part
 from dtmpc_drake.method.enclosure import Enclosure
 from dtmpc_drake.method.margin import Margin, smallest
 from dtmpc_drake.method.sliding import SlidingLaw
@@ -28,13 +28,11 @@ STEP = 1e-6
 """Half-width of the differences along y*^(n) and along the gain."""
 
 
-class Limit(abc.ABC):
+class Limit(Part, abc.ABC):
     """Something that a plan must keep for all times, whatever pushes the vehicle."""
 
     name: ClassVar[str]
     """Of its margin in a certificate; a word that no other limit has."""
-    required: ClassVar[tuple[str, ...]] = ()
-    """Fields that a file must give, though they have a default."""
 
     @abc.abstractmethod
     def margins(self, law: SlidingLaw, at: Instant) -> Array:
@@ -79,18 +77,6 @@ class Limit(abc.ABC):
     def title(self) -> str:
         """What it is called in a sentence."""
         return f"{self.name.replace('_', ' ')} limit"
-
-    def check(self, path: str, setting: Setting) -> None:
-        """Refuses fields that make no sense; of a limit in a scenario.
-
-        Args:
-            path: of this section, for errors.
-            setting: what it must fit.
-
-        Raises:
-            ScenarioError: that names the field.
-        """
-        return
 
     def certify(self, enclosure: Enclosure) -> dict[str, Margin]:
         """Its margins of a certificate, by name."""

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from pydrake.math import inv as drake_inv
 
-from dtmpc_drake.checks import Setting
+from dtmpc_drake.checks import Part
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.registry import Registry
 
 
-class Model(abc.ABC):
+class Model(Part, abc.ABC):
     """What the planner and the controller may know about a plant.
 
     Subclasses give the nominal dynamics, the bound of what is unknown, and the
@@ -46,20 +46,6 @@ class Model(abc.ABC):
         power = "".join("⁰¹²³⁴⁵⁶⁷⁸⁹"[int(digit)] for digit in str(order))
         seconds = {0: "", 1: "/s"}.get(order, f"/s{power}")
         return f"{self.length_unit}{seconds}"
-
-    def check(self, path: str, setting: Setting) -> None:
-        """Refuses fields that make no sense; there are none unless overridden.
-
-        All fields of a dataclass are of the types that it says, and finite.
-
-        Args:
-            path: of the model's section, for errors.
-            setting: what it is part of.
-
-        Raises:
-            ScenarioError: that names the field.
-        """
-        return
 
     @abc.abstractmethod
     def drift(self, x: Array) -> Array:

@@ -18,12 +18,12 @@ not see z, and an ellipsoid is a ball.
 import abc
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from dtmpc_drake.checks import Setting, require_magnitude
+from dtmpc_drake.checks import Part, Setting, require_magnitude
 from dtmpc_drake.errors import require
 from dtmpc_drake.numerics.arrays import FloatArray
 from dtmpc_drake.registry import Registry
@@ -50,7 +50,7 @@ class Cores(Protocol):
 
 
 @dataclasses.dataclass
-class Obstacle(abc.ABC):
+class Obstacle(Part, abc.ABC):
     """A convex set that must not be hit.
 
     A kind of obstacle is a dataclass with the two abstract methods.  All else has a
@@ -61,8 +61,6 @@ class Obstacle(abc.ABC):
             or, with a sensor, as soon as that reaches it.
     """
 
-    required: ClassVar[tuple[str, ...]] = ()
-    """Fields that a file must give, though they have a default."""
     known_from: float | None = dataclasses.field(default=None, kw_only=True)
 
     @abc.abstractmethod
@@ -103,17 +101,7 @@ class Obstacle(abc.ABC):
         return self.support(directions).mean(axis=0)
 
     def check(self, path: str, setting: Setting) -> None:
-        """Refuses fields that make no sense; extended by whoever has more of them.
-
-        All of them are of the types that the dataclass says, and finite.
-
-        Args:
-            path: of this section, for errors.
-            setting: what it must fit.
-
-        Raises:
-            ScenarioError: that names the field.
-        """
+        """See base class."""
         since, field = self.known_from or 0.0, f"{path}.known_from"
         require_magnitude(field, since, "s")
         end = setting.duration
