@@ -150,3 +150,20 @@ def test_a_fence_is_planned_around_and_certified(model, backend):
     result = plan_problem(fenced, settings)
     assert result.certified, result.message
     assert fence.margins(free.law, instants(free.law, result.plan, time)).min() >= 0
+
+
+@pytest.mark.parametrize("name", ["fence", "speed", "tube", "continuity"])
+def test_no_margin_hides_another_one_of_its_name(known_result, known_problem, name):
+    class Named(Fence):
+        """Called as another one is."""
+
+    Named.name = name
+    far, near = (Named(np.eye(3)[:1], np.array([most])) for most in (9.0, -9.0))
+    kept = certify(known_result.plan, known_problem)
+    for own in ((far, near), (near, far)):
+        problem = dataclasses.replace(known_problem, own_limits=own)
+        certificate = certify(known_result.plan, problem)
+        assert not certificate.certified
+        assert len(certificate.margins) == len(kept.margins) + 2
+        (broken,) = certificate.broken
+        assert broken.startswith(name)

@@ -112,6 +112,16 @@ def test_the_cost_is_that_of_the_convex_programs_or_less(model, margin, fixed):
     assert {iteration.status for iteration in ipopt.history} <= set(GOOD)
 
 
+@pytest.mark.parametrize("weight", ["input", "bandwidth"])
+def test_a_part_of_the_cost_may_weigh_nothing(weight):
+    scenario = load_scenario("known_environment")
+    setattr(scenario.cost, weight, 0.0)
+    scenario.planner.intervals = 28
+    scenario.planner.backend = "ipopt"
+    scenario.planner.time_limit = 600.0
+    assert plan(scenario).certified
+
+
 def test_a_model_error_with_kinks_at_rest_is_no_obstacle_to_convergence():
     """The vertical speed is zero at the optimum, where the drag's bound has a kink."""
     scenario = load_scenario("unknown_drag")

@@ -35,6 +35,7 @@ from dtmpc_drake.scenario import (
     Planner,
     Scenario,
     Simulation,
+    SolverOptions,
     Waypoint,
     load_scenario,
     parse_scenario,
@@ -64,7 +65,8 @@ obstacles:
   - !Sphere {center: [0.0, 9.0, 3.0], radius: 0.5}
   - !Ellipsoid {center: [3, 9, 1], shape: [[1, 0, 0], [0, 2, 0.5]], radius: 0.5}
 planner: {backend: clarabel, intervals: 56, tube_margin: norm,
-          velocity_bound: comparison, uncertainty: state_dependent}
+          velocity_bound: comparison, uncertainty: state_dependent,
+          options: {tolerance: 1e-3, max_failures: 5}}
 simulation: {integration_scheme: runge_kutta3, max_step_size: 0.01, seed: 0}
 """
 
@@ -112,6 +114,7 @@ def test_every_field_of_the_schema_arrives() -> None:
         tube_margin="norm",
         velocity_bound="comparison",
         uncertainty="state_dependent",
+        options=SolverOptions(tolerance=1e-3, max_failures=5),
     )
     assert s.simulation == Simulation("runge_kutta3", max_step_size=0.01, seed=0)
 
@@ -869,6 +872,20 @@ BAD = {
         "greater than 0 m/s²",
     ),
     "negative cost": ("cost", "{input: -2}", "cost.input", "-2", "at least 0"),
+    "no tolerance": (
+        "planner",
+        "{options: {tolerance: 0}}",
+        "planner.options.tolerance",
+        "0",
+        "greater than 0",
+    ),
+    "a tolerance of text": (
+        "planner",
+        "{options: {tolerance: small}}",
+        "planner.options.tolerance",
+        "'small'",
+        "a number",
+    ),
     "empty name": ("name", "''", "name", "''", "a file name"),
     "name with a slash": ("name", "a/b", "name", "'a/b'", "without slashes"),
     "name of the directory above": ("name", "..", "name", "'..'", "a file name"),

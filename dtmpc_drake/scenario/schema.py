@@ -209,8 +209,8 @@ class Planner:
         initial_guess: ``straight_line`` (the paper's), or ``best_side``, which
             also tries other sides of the obstacles and takes the cheapest plan.
         time_budget: for ``best_side``, in s.  It buys candidates at fixed prices
-            (see `planning.best_side`), so a plan never depends on the clock.  Every
-            plan on the way has it, too: `compute_delay` should not be shorter.
+            (see `planning.search`), so a plan never depends on the clock.  Every plan
+            on the way has it, too: `compute_delay` should not be shorter.
         time_limit: in s by the clock on the wall, for each plan and for each time
             that is planned on the way.  What is best until then is judged as it is.
             Only a plan that takes longer depends on the clock.

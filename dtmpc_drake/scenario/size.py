@@ -91,7 +91,7 @@ def _rates(scenario: Scenario) -> dict[str, float]:
 
 
 def certificate_intervals(scenario: Scenario) -> int:
-    """Intervals of the finest certificate; see `planning.enclosure`."""
+    """Intervals of the finest certificate; see `planning.proof.enclosure`."""
     count = scenario.planner.intervals * tube_steps(scenario)[0]
     longest = max(5e-4, min(16e-3, scenario.duration / 2**19))
     finer = math.ceil(math.log2(max(scenario.duration / count / longest, 1.0)))
@@ -140,7 +140,7 @@ def certificate(scenario: Scenario) -> list[Part]:
 
 
 def _search(scenario: Scenario, steps: int) -> list[Part]:
-    """The memory of a search for sides; see `planning.best_side` and `planning.sides`.
+    """The memory of a search for sides; see `planning.search`.
 
     It is for all the ways that its budget buys, 0.3 m from point to point, for the
     coarse plan of each, and for the pairs of obstacles.

@@ -94,7 +94,8 @@ class _Program:
         self.scale[layout.blocks["states"]] = STATE_SCALE
         # The cost weighs all decisions alike.
         of_input = sum(c.weight for c in p.costs if isinstance(c, InputCost))
-        alike = np.sqrt(of_input / max(p.bandwidth_cost.weight, 1e-6))
+        weights = np.array([of_input, p.bandwidth_cost.weight])
+        alike = np.sqrt(np.divide(*weights)) if weights.all() else 1.0
         self.scale[layout.blocks["bandwidth"]] = alike
         self._exact = layout.pack(tr, guess)
         self._none, self._shift = np.zeros((2, layout.size))

@@ -7,6 +7,9 @@ plan's own polynomials, and every margin is bounded from below on short interval
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Container
+
 import numpy as np
 
 from dtmpc_drake.limits import ObstacleLimit
@@ -80,17 +83,30 @@ def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Ma
     """Every margin by name."""
     n, time = problem.law.order, enclosure.time
     margins: dict[str, Margin] = {}
+    own = set(map(id, problem.own_limits))
     for limit in problem.limits:
-        margins |= limit.certify(enclosure)
+        if id(limit) not in own:
+            margins |= limit.certify(enclosure)
     margins |= problem.bandwidth.certify(enclosure)
     thinnest = enclosure.layer.derivatives[:, 0] - enclosure.layer.radius(0)
     margins["boundary_layer"] = smallest(time, thinnest, "m/s", "axis")
     tolerance = np.full((n, 1), TUBE_TOLERANCE)
     tolerance[-1] = TOP_TOLERANCE if n > 1 else TUBE_TOLERANCE
-    own = enclosure.claim_excess + tolerance
-    bounds = [f"bound {k} on axis {i}" for k in range(n) for i in range(own.shape[2])]
-    margins["tube"] = smallest(time, own.reshape(len(time), -1), "", bounds)
-    return margins | consistency_margins(plan, problem)
+    left = enclosure.claim_excess + tolerance
+    bounds = [f"bound {k} on axis {i}" for k in range(n) for i in range(left.shape[2])]
+    margins["tube"] = smallest(time, left.reshape(len(time), -1), "", bounds)
+    margins |= consistency_margins(plan, problem)
+    for limit in problem.own_limits:
+        for name, margin in limit.certify(enclosure).items():
+            # No margin may stand in another one's place, whatever it is called.
+            margins[_free(name, margins)] = margin
+    return margins
+
+
+def _free(name: str, taken: Container[str]) -> str:
+    """A name that nobody has: ``power``, ``power_2``, ..."""
+    names = itertools.chain([name], (f"{name}_{i}" for i in itertools.count(2)))
+    return next(each for each in names if each not in taken)
 
 
 def clearance_ahead(plan: Plan, problem: Problem, start: float) -> Margin:
