@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
-
 from dtmpc_drake.numerics.arrays import Array
 
 
@@ -25,4 +23,4 @@ class BandwidthCost:
 
     def running(self, bandwidth: Array) -> Array:
         """At instants, of α ``(..., m)``, shape ``(...)``."""
-        return np.asarray(self.weight * ((bandwidth - self.floor) ** 2).sum(axis=-1))
+        return self.weight * ((bandwidth - self.floor) ** 2).sum(axis=-1)

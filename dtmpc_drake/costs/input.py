@@ -25,7 +25,7 @@ class InputCost(Cost):
     def residuals(self, law: SlidingLaw, state: Array, highest: Array) -> Array:
         """See base class."""
         u = law.model.input_for(state, highest - law.model.drift(state))
-        return np.asarray(np.sqrt(self.weight) * u)
+        return np.sqrt(self.weight) * u
 
     def slopes(
         self, law: SlidingLaw, state: Array, highest: Array, secant: float

@@ -143,7 +143,7 @@ def _steps(
     simulator = Simulator(loop, context)
     config = SimulatorConfig(
         integration_scheme=scenario.simulation.integration_scheme,
-        # A hair more: else rounding would cut slivers off the steps of the grid.
+        # A little more: else rounding would cut slivers off the steps of the grid.
         max_step_size=scenario.simulation.max_step_size * (1 + 1e-6),
         # A step that depends on the error would tie each trial to all others.
         use_error_control=False,
@@ -217,4 +217,4 @@ def _record(loop: Diagram, context: Context, lead: tuple[int, ...]) -> Array:
     """What the monitor recorded, ``(6, *lead, 7)``."""
     record = loop.GetOutputPort("record").Eval(context)
     shape = (len(verdict.COLUMNS), *lead, len(verdict.QUANTITIES))
-    return np.asarray(record.reshape(shape))
+    return record.reshape(shape)

@@ -103,4 +103,4 @@ def _draw_initial_error(scenario: Scenario, generator: np.random.Generator) -> A
     error = generator.uniform(-1, 1, error.shape) * error
     s = np.abs(sliding_variable(error, scenario.slope()))
     layer = scenario.initial_boundary_layer() * (1 - 1e-9)
-    return np.asarray(error * layer / np.maximum(s, layer))
+    return error * layer / np.maximum(s, layer)

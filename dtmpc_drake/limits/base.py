@@ -211,16 +211,14 @@ class LinearLimit(Limit):
         """See base class."""
         normals = self.normals(law.num_outputs)
         used = deviation_bound(law, at, self.derivative) @ np.abs(normals).T
-        return np.asarray(
-            self.bounds - at.derivative(self.derivative) @ normals.T - used
-        )
+        return self.bounds - at.derivative(self.derivative) @ normals.T - used
 
     def flown(self, state: Array, control: Array) -> Array | None:
         """See base class."""
         if self.derivative >= state.shape[-2]:
             return None
         normals = self.normals(state.shape[-1])
-        return np.asarray(self.bounds - state[..., self.derivative, :] @ normals.T)
+        return self.bounds - state[..., self.derivative, :] @ normals.T
 
     def proven(self, enclosure: Enclosure) -> Array:
         """See base class; Taylor's formula about the middle of each interval."""
@@ -230,4 +228,4 @@ class LinearLimit(Limit):
             enclosure.law, enclosure.instant, k
         )
         middle = reference.derivatives[:, k] @ normals.T
-        return np.asarray(self.bounds - middle - spread @ np.abs(normals).T)
+        return self.bounds - middle - spread @ np.abs(normals).T

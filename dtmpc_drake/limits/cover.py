@@ -53,7 +53,7 @@ class CoverLimit(SampledLimit):
 
     def _left(self, state: Array, radius: Array) -> Array:
         true = self.model.model.model_error_bound_over(state, radius)
-        return np.asarray(self.model.bound - true)
+        return self.model.bound - true
 
     def proven(self, enclosure: Enclosure) -> Array:
         """See base class."""

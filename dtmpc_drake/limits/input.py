@@ -48,7 +48,7 @@ class InputLimit(SampledLimit):
 
     def proven(self, enclosure: Enclosure) -> Array:
         """See base class; the norm of y*^(n), which is linear, is largest at an end."""
-        return np.asarray(self.margins(enclosure.law, enclosure.instant).min(axis=0))
+        return self.margins(enclosure.law, enclosure.instant).min(axis=0)
 
     def facets(self, law: SlidingLaw, at: Instant) -> Facets:
         """Where the norm of B⁻¹ y*^(n) is near its apex.
@@ -68,7 +68,7 @@ class InputLimit(SampledLimit):
         """With u'v for the norm of v = B⁻¹ y*^(n)."""
         nominal = law.model.input_for(at.state, at.highest)[facets.place]
         along = (facets.direction * nominal).sum(axis=1)
-        return np.asarray(margins[facets.place, 0] + euclidean_norm(nominal) - along)
+        return margins[facets.place, 0] + euclidean_norm(nominal) - along
 
     def slopes(
         self, law: SlidingLaw, at: Instant, secant: float, facets: Facets
@@ -140,4 +140,4 @@ class InputLimit(SampledLimit):
         size = np.maximum(np.linalg.norm(at.highest, axis=1), SMALLEST_HIGHEST)
         unit = at.highest / size[:, None]
         outer = unit[:, :, None] * unit[:, None, :]
-        return np.asarray((np.eye(unit.shape[1]) - outer) / size[:, None, None])
+        return (np.eye(unit.shape[1]) - outer) / size[:, None, None]

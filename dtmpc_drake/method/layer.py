@@ -99,7 +99,7 @@ def layer_pieces(
 
     ends = np.stack(derivatives(0.0, layer[:-1]) + derivatives(1.0, layer[1:]))
     powers = np.einsum("pd,dkm->kpm", _two_point_hermite(), ends)
-    return np.asarray(powers / step ** np.arange(8)[:, None])
+    return powers / step ** np.arange(8)[:, None]
 
 
 def _parabolas(values: Array) -> Array:
@@ -134,4 +134,4 @@ def _two_point_hermite() -> Array:
         at[k, k] = factorial(k)
         for p in range(k, 8):
             at[4 + k, p] = factorial(p) / factorial(p - k)
-    return np.asarray(np.round(6 * np.linalg.inv(at)) / 6)  # whole sixths
+    return np.round(6 * np.linalg.inv(at)) / 6  # whole sixths

@@ -110,7 +110,7 @@ def gain_crossover(*, bandwidth: Array, slope: Array, order: int) -> Array:
     companion[..., :, -1] = np.moveaxis(power, -2, -1)
     roots = np.linalg.eigvals(companion)
     crossings = np.where(abs(roots.imag) <= 1e-6 * abs(roots), roots.real, 0.0)
-    return np.asarray(scale * np.sqrt(crossings.max(axis=-1)))
+    return scale * np.sqrt(crossings.max(axis=-1))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -65,7 +65,7 @@ def feedback_bound(law: SlidingLaw, at: Instant) -> Array:
     # Δ(x*) - κ, written without a maximum.
     excess = at.gain - model.model_error_bound(at.state)
     switching = largest / 2 + magnitude(excess + largest / 2) + at.gain_radius
-    return np.asarray(model.drift_bound_over(at.state, at.box) + damping + switching)
+    return model.drift_bound_over(at.state, at.box) + damping + switching
 
 
 def input_bound(law: SlidingLaw, at: Instant) -> Array:
@@ -94,7 +94,7 @@ def deviation_bound(law: SlidingLaw, at: Instant, k: int) -> Array:
     """A bound of ``|ỹ^(k)|``, ``(..., m)``, for k < n, or k = n = 1."""
     if k == 1:
         return rate_bound(law, at)
-    return np.asarray(at.error_bound[..., k, :])
+    return at.error_bound[..., k, :]
 
 
 def rate_bound(law: SlidingLaw, at: Instant) -> Array:
@@ -107,7 +107,7 @@ def rate_bound(law: SlidingLaw, at: Instant) -> Array:
         Shape ``(..., m)``.
     """
     if law.order > 1:
-        return np.asarray(at.error_bound[..., 1, :])
+        return at.error_bound[..., 1, :]
     largest = law.model.model_error_bound_over(at.state, at.box)
     excess = largest - law.model.model_error_bound(at.state) + at.gain_radius
-    return np.asarray(law.disturbance_bound + largest + at.gain + excess)
+    return law.disturbance_bound + largest + at.gain + excess

@@ -169,7 +169,7 @@ def comparison_rate(
         model_error=2 * largest - law.model.model_error_bound(reference),
     )
     decay = bandwidth + (law.order - 1) * law.slope
-    return np.asarray(forcing - decay * error_bound[..., -1, :])
+    return forcing - decay * error_bound[..., -1, :]
 
 
 def propagate_cascade(

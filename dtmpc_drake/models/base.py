@@ -130,7 +130,7 @@ class Model(Part, abc.ABC):
         if self.input_is_identity:
             return np.asarray(demand)
         inverse = self.inverse_input_matrix(x)
-        return np.asarray(np.einsum("...ij,...j->...i", inverse, demand))
+        return np.einsum("...ij,...j->...i", inverse, demand)
 
     def inverse_input_deviation(self, x: Array, radius: Array) -> Array:
         """An upper bound of ``|B(x')⁻¹ - B(x)⁻¹|`` over the box, ``(..., m, m)``.
@@ -146,7 +146,7 @@ class Model(Part, abc.ABC):
             if not any(inverse.strides[:-2]):  # one matrix, broadcast over the batch
                 one = inverse[(0,) * (inverse.ndim - 2)]
                 return np.broadcast_to(np.linalg.inv(one), inverse.shape)
-            return np.asarray(np.linalg.inv(inverse))
+            return np.linalg.inv(inverse)
         flat = inverse.reshape(-1, *inverse.shape[-2:])
         return np.array([drake_inv(B) for B in flat]).reshape(inverse.shape)
 

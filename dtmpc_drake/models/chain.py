@@ -37,16 +37,16 @@ class IntegratorChain(Model):
 
     def drift(self, x: Array) -> Array:
         """F̂ = 0."""
-        return np.asarray(0.0 * x[..., 0, :])
+        return 0.0 * x[..., 0, :]
 
     def true_drift(self, x: Array, parameters: Mapping[str, Any]) -> Array:
         """F = f̃, the same on every output."""
         error = np.asarray(parameters["model_error"])[..., None]
-        return np.asarray(self.drift(x) + error)
+        return self.drift(x) + error
 
     def model_error_bound(self, x: Array) -> Array:
         """Δ, a constant."""
-        return np.asarray(self.drift(x) + self.error_bound)
+        return self.drift(x) + self.error_bound
 
     def drift_bound_over(self, x: Array, radius: Array) -> Array:
         """See base class."""

@@ -45,21 +45,19 @@ class DragDoubleIntegrator(Model):
         """F = -C_d ‖ṙ‖ ṙ."""
         v = x[..., 1, :]
         drag = np.asarray(parameters["drag"])[..., None]
-        return np.asarray(-drag * euclidean_norm(v)[..., None] * v)
+        return -drag * euclidean_norm(v)[..., None] * v
 
     def model_error_bound(self, x: Array) -> Array:
         """Δ = drag_error_bound ‖ṙ‖ |ṙ|."""
         v = x[..., 1, :]
         if self.drag_error_bound == 0:  # known drag is common, and worth a shortcut
-            return np.asarray(0.0 * v)
-        return np.asarray(
-            self.drag_error_bound * euclidean_norm(v)[..., None] * magnitude(v)
-        )
+            return 0.0 * v
+        return self.drag_error_bound * euclidean_norm(v)[..., None] * magnitude(v)
 
     def _largest_velocity(self, x: Array, radius: Array) -> Array:
         # Drag grows with every |ṙ_i|, so the corner |ṙ*| + radius is the worst.
         x = np.asarray(x)
-        return np.asarray((magnitude(x) + radius)[..., 1:2, :].repeat(2, axis=-2))
+        return (magnitude(x) + radius)[..., 1:2, :].repeat(2, axis=-2)
 
     def drift_bound_over(self, x: Array, radius: Array) -> Array:
         """See base class; exact, since drag is monotone in every speed."""

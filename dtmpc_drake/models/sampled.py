@@ -22,19 +22,19 @@ class SampledBoxBounds(Model):
         ).reshape(-1, n, m)
         signs = np.concatenate([np.zeros((1, n, m)), signs])
         lead = (1,) * (x.ndim - 2)
-        return np.asarray(x + signs.reshape(-1, *lead, n, m) * radius)
+        return x + signs.reshape(-1, *lead, n, m) * radius
 
     def drift_bound_over(self, x: Array, radius: Array) -> Array:
         """See base class."""
-        return np.asarray(np.abs(self.drift(self._corners(x, radius))).max(axis=0))
+        return np.abs(self.drift(self._corners(x, radius))).max(axis=0)
 
     def model_error_bound_over(self, x: Array, radius: Array) -> Array:
         """See base class."""
-        return np.asarray(self.model_error_bound(self._corners(x, radius)).max(axis=0))
+        return self.model_error_bound(self._corners(x, radius)).max(axis=0)
 
     def model_error_bound_under(self, x: Array, radius: Array) -> Array:
         """See base class."""
-        return np.asarray(self.model_error_bound(self._corners(x, radius)).min(axis=0))
+        return self.model_error_bound(self._corners(x, radius)).min(axis=0)
 
     @property
     def bounds_certified(self) -> bool:

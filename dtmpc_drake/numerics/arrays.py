@@ -19,7 +19,7 @@ _SMOOTHING = 1e-6
 
 def magnitude(v: Array) -> Array:
     """A differentiable upper bound of abs(v), at most 1e-6 too large."""
-    return np.asarray(np.sqrt(v * v + _SMOOTHING**2))
+    return np.sqrt(v * v + _SMOOTHING**2)
 
 
 def euclidean_norm(v: Array) -> Array:
@@ -33,7 +33,8 @@ def euclidean_norm(v: Array) -> Array:
     """
     if v.strides[-1] != v.itemsize:  # the same order of additions in any memory order
         v = np.ascontiguousarray(v)
-    return np.asarray(np.sqrt(np.einsum("...i,...i", v, v) + _SMOOTHING**2))
+    squared = np.einsum("...i,...i", v, v) + _SMOOTHING**2
+    return np.asarray(np.sqrt(squared))  # of one vector of Drake's scalars, too
 
 
 def jacobian(
@@ -55,7 +56,7 @@ def jacobian(
     """
     step = np.broadcast_to(step, point.shape)
     ahead, behind = _perturbed(function, point, step, np.arange(point.shape[1]))
-    return np.asarray(np.moveaxis((ahead - behind) / (2 * step.T[:, :, None]), 0, -1))
+    return np.moveaxis((ahead - behind) / (2 * step.T[:, :, None]), 0, -1)
 
 
 def second_differences(
@@ -85,7 +86,7 @@ def second_differences(
     ahead, behind = _perturbed(function, point, step, coordinates)
     change = ahead + behind - 2 * middle
     width = step.T[coordinates][:, :, None]
-    return np.asarray(np.moveaxis(change / (2 * width), 0, -1))
+    return np.moveaxis(change / (2 * width), 0, -1)
 
 
 def _perturbed(

@@ -30,7 +30,7 @@ def linear_recurrence(gain: Array, offset: Array, initial: Array) -> Array:
     band = np.zeros((columns + 1, right.size), order="F")
     band[-1, : right.size - columns] = -gain.ravel()
     x, _ = dtbtrs(band, right.reshape(-1, 1), uplo="L", diag="U", overwrite_b=1)
-    return np.asarray(x.reshape(len(gain) + 1, *gain.shape[1:]))
+    return x.reshape(len(gain) + 1, *gain.shape[1:])
 
 
 def integrate_filter(

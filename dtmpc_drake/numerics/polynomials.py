@@ -51,7 +51,7 @@ class Polynomial:
 
     def radius(self, order: int) -> Array:
         """How far a derivative leaves its value at the middle, ``(K, m)``."""
-        return np.asarray(self._radii[order])
+        return self._radii[order]
 
     @cached_property
     def _radii(self) -> Array:
@@ -61,11 +61,11 @@ class Polynomial:
 
     def largest(self, order: int) -> Array:
         """A bound of a derivative's magnitude all along, ``(K, m)``."""
-        return np.asarray(np.abs(self.derivatives[:, order]) + self.radius(order))
+        return np.abs(self.derivatives[:, order]) + self.radius(order)
 
     def at_ends(self, order: int = 0) -> Array:
         """A continuous derivative where intervals meet, ``(K + 1, m)``."""
-        return np.asarray(self._ends[order])
+        return self._ends[order]
 
     @cached_property
     def _ends(self) -> Array:

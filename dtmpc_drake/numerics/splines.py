@@ -82,19 +82,19 @@ def basis(degree: int, derivative: int, points: Array, step: float) -> Array:
     """Values at local times of one piece, ``(len(points), degree + 1)``."""
     powers = derivative_powers(piece_powers(degree), derivative)
     values = points[:, None] ** np.arange(len(powers)) @ powers
-    return np.asarray(values / step**derivative)
+    return values / step**derivative
 
 
 def control_basis(degree: int, derivative: int, step: float) -> Array:
     """Control points of a derivative on one piece."""
     powers = derivative_powers(piece_powers(degree), derivative)
-    return np.asarray(powers_to_bezier(degree - derivative) @ powers / step**derivative)
+    return powers_to_bezier(degree - derivative) @ powers / step**derivative
 
 
 def windows(coefficients: Array, degree: int) -> Array:
     """The coefficients that act on each piece, ``(N, degree + 1, m)``."""
     view = np.lib.stride_tricks.sliding_window_view(coefficients, degree + 1, axis=0)
-    return np.asarray(view.swapaxes(1, 2))
+    return view.swapaxes(1, 2)
 
 
 def knot_operator(intervals: int, degree: int, derivative: int, step: float) -> Sparse:
@@ -126,7 +126,7 @@ def midpoint_operator(intervals: int, degree: int) -> Sparse:
 def piece_coefficients(coefficients: Array, degree: int, step: float) -> Array:
     """Every piece in powers of the time since it began, ``(N, degree + 1, m)``."""
     powers = piece_powers(degree) / step ** np.arange(degree + 1)[:, None]
-    return np.asarray(powers @ windows(coefficients, degree))
+    return powers @ windows(coefficients, degree)
 
 
 def refine(coefficients: Array, degree: int) -> Array:

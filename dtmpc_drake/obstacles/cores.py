@@ -105,7 +105,7 @@ class CoreStack:
         each = np.broadcast_to(axes, (count, *axes.shape))
         far = self.support(np.arange(count), each)
         reach = np.abs(np.einsum("oai,ai->oa", far, axes)).reshape(-1, 2, rows)
-        return np.asarray(np.linalg.norm(reach.max(axis=1), axis=1))
+        return np.linalg.norm(reach.max(axis=1), axis=1)
 
     def nearest(self, obstacle: Indices, offset: Array) -> Array:
         """Points of cores that are nearest to others; all offsets from p_c.

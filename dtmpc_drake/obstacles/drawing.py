@@ -48,7 +48,7 @@ class Ellipse:
         """Points on the boundary, ``(count, 2)``, the last one the first."""
         angle = np.linspace(0.0, 2 * np.pi, count)
         circle = np.stack([np.cos(angle), np.sin(angle)])
-        return np.asarray(self.center + (self.axes @ circle).T)
+        return self.center + (self.axes @ circle).T
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class Hull:
     def outline(self) -> FloatArray:
         """Its corners, the last one the first."""
         corners = scipy.spatial.ConvexHull(self.points, qhull_options="QJ").vertices
-        return np.asarray(self.points[np.append(corners, corners[0])])
+        return self.points[np.append(corners, corners[0])]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -158,7 +158,7 @@ def _ellipses(
 def _half_axes(Q: FloatArray) -> FloatArray:
     """The half-axes of ``{w: wᵀ Q w <= 1}`` as columns, at most 10⁴ long."""
     values, vectors = np.linalg.eigh(Q)
-    return np.asarray(vectors / np.sqrt(np.maximum(values, 1e-8)))
+    return vectors / np.sqrt(np.maximum(values, 1e-8))
 
 
 def _hulls(

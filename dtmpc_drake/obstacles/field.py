@@ -96,15 +96,11 @@ class ObstacleSet(CoreStack):
         Returns:
             Shape ``(..., num_obstacles, rows)``.
         """
-        return np.asarray(
-            np.einsum("oij,...j->...oi", self.shape, position) - self.center
-        )
+        return np.einsum("oij,...j->...oi", self.shape, position) - self.center
 
     def tube_radii(self, position_tube: FloatArray) -> FloatArray:
         """``|H| Ω``: the box that holds ``H r̃``; shapes as `offsets`."""
-        return np.asarray(
-            np.einsum("oij,...j->...oi", np.abs(self.shape), position_tube)
-        )
+        return np.einsum("oij,...j->...oi", np.abs(self.shape), position_tube)
 
     def clearance(
         self,
@@ -134,7 +130,7 @@ class ObstacleSet(CoreStack):
             distance = self._distance(offset) - np.linalg.norm(radii, axis=-1)
         else:
             distance = self._distance(offset, tube)
-        return np.asarray(distance - self.radius)
+        return distance - self.radius
 
     def clearance_along(
         self,
@@ -174,7 +170,7 @@ class ObstacleSet(CoreStack):
         bound = ((normal * offset).sum(axis=-1) - size).min(axis=0)
         bound = bound - self._farthest(normal)
         sag = np.linalg.norm(self.tube_radii(leave), axis=-1)
-        return np.asarray(bound - self.radius - sag)
+        return bound - self.radius - sag
 
     def visible(
         self, *, known_from: Array, sensing_range: float, time: float, position: Array
@@ -199,7 +195,7 @@ class ObstacleSet(CoreStack):
             return np.asarray(scheduled)
         stretch = np.linalg.norm(self.shape, ord=2, axis=(1, 2))
         seen = self.clearance(position) <= sensing_range * stretch
-        return np.asarray(scheduled | seen)
+        return scheduled | seen
 
     def core_distance(self, offset: Array) -> Array:
         """From each core to a point at an offset from p_c, ``(..., o)``."""
@@ -212,7 +208,7 @@ class ObstacleSet(CoreStack):
 
     def outputs_seen(self) -> BoolArray:
         """Which outputs some obstacle looks at, ``(m,)``."""
-        return np.asarray(np.abs(self.shape).max(axis=(0, 1), initial=0.0) > 0)
+        return np.abs(self.shape).max(axis=(0, 1), initial=0.0) > 0
 
     def way_out(self, position: FloatArray, position_tube: FloatArray) -> FloatArray:
         """The shortest way for each tube out of each obstacle, to first order.
@@ -233,7 +229,7 @@ class ObstacleSet(CoreStack):
         distance = self._distance(offset) if self.groups else size
         slope = np.maximum((normal**2).sum(axis=-1), 1e-9)
         depth = np.maximum(inflated - distance, 0.0) / slope
-        return np.asarray(depth[..., None] * normal)
+        return depth[..., None] * normal
 
     def _cored(self) -> Indices:
         """Which obstacles' cores are more than a point."""

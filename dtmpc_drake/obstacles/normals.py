@@ -43,7 +43,7 @@ def separating_normals(hull: Array, size: Array) -> Array:
     candidates = np.concatenate([pairs, radial], axis=1)
     margins = candidates @ hull.swapaxes(1, 2) - size[:, None]
     best = margins.min(axis=2).argmax(axis=1)
-    return np.asarray(candidates[np.arange(len(hull)), best])
+    return candidates[np.arange(len(hull)), best]
 
 
 def tangent_space(normal: Array) -> Array:
@@ -64,7 +64,7 @@ def tangent_space(normal: Array) -> Array:
     mirror[:, 0] += sign
     outer = mirror[:, :, None] * mirror[:, None, :]
     size = (mirror**2).sum(1)[:, None, None]
-    return np.asarray((np.eye(rows) - 2 * outer / size)[:, 1:])
+    return (np.eye(rows) - 2 * outer / size)[:, 1:]
 
 
 def turned(normal: Array, rotation: Array) -> Array:
@@ -75,7 +75,7 @@ def turned(normal: Array, rotation: Array) -> Array:
         rotation: t, ``(P, rows - 1)``.
     """
     moved = normal + np.einsum("pt,pti->pi", rotation, tangent_space(normal))
-    return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
+    return moved / np.linalg.norm(moved, axis=1, keepdims=True)
 
 
 def nearest_of_box(offset: FloatArray, matrix: FloatArray, box: FloatArray) -> Array:

@@ -68,7 +68,7 @@ def thinness(obstacles: ObstacleSet) -> Array:
     H = obstacles.shape
     thin = np.einsum("oij,oik->ojk", H, H)
     thin = thin / np.trace(thin, axis1=1, axis2=2)[:, None, None]
-    return np.asarray(thin.sum(axis=0))
+    return thin.sum(axis=0)
 
 
 def _ellipse(

@@ -149,7 +149,7 @@ class Halfplanes:
         unit = box / size[:, None]
         outer = unit[:, :, None] * unit[:, None, :]
         bend = (np.eye(box.shape[1]) - outer) / size[:, None, None]
-        return np.asarray(H.swapaxes(1, 2) @ bend @ H)
+        return H.swapaxes(1, 2) @ bend @ H
 
 
 _ARRAYS = ("piece", "obstacle", "normal", "margin", "by_tube", "hull")
@@ -196,7 +196,7 @@ class Turning:
         size, _, _ = self._size(tube, np.einsum("pij,pi->pj", self._shape, normal))
         along = np.einsum("pci,pi->pc", hull, normal)
         radius = self.planes.obstacles.radius[self._obstacle] + excess
-        return np.asarray(along - radius[:, None] - size)
+        return along - radius[:, None] - size
 
     def slopes(
         self, controls: Array, tube: Array, rotation: Array

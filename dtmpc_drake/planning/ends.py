@@ -117,4 +117,4 @@ def _answers(
     few = sp.csr_array(changed)
     system = sp.block_array([[highest.T @ highest, few.T], [few, None]]).tocsc()
     wanted = np.eye(len(free) + len(changed))[:, len(free) :]
-    return np.asarray(scipy.sparse.linalg.splu(system).solve(wanted)[: len(free)])
+    return scipy.sparse.linalg.splu(system).solve(wanted)[: len(free)]

@@ -111,9 +111,7 @@ class Variables:
 
     def coefficient_columns(self, first: Array, count: int) -> Array:
         """The columns of `count` spline coefficients each, ``(P, count m)``."""
-        return np.asarray(
-            first[:, None] * self.outputs + np.arange(count * self.outputs)
-        )
+        return first[:, None] * self.outputs + np.arange(count * self.outputs)
 
     def _local_matrix(self, tr: Transcription, bounds: list[Array]) -> Array:
         n, m, S = tr.order, tr.outputs, self.num_states
@@ -146,8 +144,8 @@ class Variables:
         points = hermite_controls(value.swapaxes(0, 1), rate.swapaxes(0, 1), tr.step)[0]
         # (4, 2 S m, m) to (control_degree + 1, m, 2 S m)
         elevate = splines.elevation(3, tr.control_degree)
-        return np.asarray(np.einsum("ij,jsm->ims", elevate, points))
+        return np.einsum("ij,jsm->ims", elevate, points)
 
     def local(self, z: Array) -> Array:
         """`Local.pack` of a deviation at every knot, ``(K, L)``."""
-        return np.asarray(z[self.knot_columns] @ self.local_matrix.T)
+        return z[self.knot_columns] @ self.local_matrix.T

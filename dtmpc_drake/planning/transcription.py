@@ -237,7 +237,7 @@ class Transcription:
             nodes: of the fine grid.
         """
         piece, _ = self.within(nodes)
-        return np.asarray(self._node_basis[nodes - piece * self.tube_steps])
+        return self._node_basis[nodes - piece * self.tube_steps]
 
     @cached_property
     def _node_basis(self) -> Array:
@@ -260,19 +260,17 @@ class Transcription:
     def _chord(self, at_knots: Array, degree: int) -> Array:
         """Values on the straight lines between knots, ``(N, degree + 1, ...)``."""
         weight = np.linspace(0, 1, degree + 1)[:, None]
-        return np.asarray(
-            at_knots[:-1, None] * (1 - weight) + at_knots[1:, None] * weight
-        )
+        return at_knots[:-1, None] * (1 - weight) + at_knots[1:, None] * weight
 
     def _bulge(self, nodes: Array) -> Array:
         """How far each piece rises above its chord, ``(N, ...)``."""
         chord = self._chord(nodes[:: self.tube_steps], self.tube_steps)
-        return np.asarray((self.pieces(nodes) - chord).max(axis=1))
+        return (self.pieces(nodes) - chord).max(axis=1)
 
     def pieces(self, nodes: Array) -> Array:
         """Node values piece by piece, both ends included."""
         index = np.arange(self.intervals)[:, None] * self.tube_steps
-        return np.asarray(nodes[index + np.arange(self.tube_steps + 1)])
+        return nodes[index + np.arange(self.tube_steps + 1)]
 
     def _tube_controls(self, tube: Tube) -> Array:
         """Bézier points of a curve above Ω on every piece."""
@@ -285,7 +283,7 @@ class Transcription:
         )
         excess = self.pieces(tube.error_bound[:, 0]) - bernstein @ points
         points = points + np.maximum(excess.max(axis=1), 0.0)[:, None]
-        return np.asarray(self._hermite_elevation @ points)
+        return self._hermite_elevation @ points
 
     # What is left of the limits.
 

@@ -71,7 +71,7 @@ class Flight:
     @property
     def position(self) -> Array:
         """Where the plant was, ``(K, m)``."""
-        return np.asarray(self.state[..., 0, :])
+        return self.state[..., 0, :]
 
     def trial(self, row: int) -> Flight:
         """The log of one of many trials."""

@@ -71,12 +71,12 @@ class Flights:
     def worst_ratios(self) -> Array:
         """The largest |s|/Φ, |ỹ|/Ω and |dỹ/dt|/W, ``(T, 3)``."""
         ratios = slice(verdict.LAYER, verdict.VELOCITY + 1)
-        return np.asarray(self.record[:, verdict.WORST, ratios])
+        return self.record[:, verdict.WORST, ratios]
 
     @property
     def smallest_clearance(self) -> Array:
         """To any obstacle, ``(T,)``, in m."""
-        return np.asarray(-self.record[:, verdict.WORST, verdict.OBSTACLES])
+        return -self.record[:, verdict.WORST, verdict.OBSTACLES]
 
     @property
     def broken(self) -> Array:
@@ -138,9 +138,7 @@ class Flights:
         # Between a finite and an infinite one there is nothing to interpolate.
         finite = bool(np.isfinite(self.position_ratio).all())
         method: Literal["linear", "higher"] = "linear" if finite else "higher"
-        return np.asarray(
-            np.quantile(self.position_ratio, QUANTILES, axis=0, method=method)
-        )
+        return np.quantile(self.position_ratio, QUANTILES, axis=0, method=method)
 
     def arrays(self) -> dict[str, Array]:
         """Everything as arrays by name, to be saved."""

@@ -108,14 +108,14 @@ class Plan:
         t, piece = locate(self.knots, time)
         factor, exponent = power_derivatives(self.order + 1, self.coefficients.shape[1])
         basis = factor * t[..., None, None] ** exponent
-        return np.asarray(basis @ self.coefficients[piece])
+        return basis @ self.coefficients[piece]
 
     def bandwidth(self, time: FloatArray | float) -> FloatArray:
         """α*, shape ``(..., m)``, in rad/s."""
         t, piece = locate(self.knots, time)
         weight = (t / np.diff(self.knots)[piece])[..., None]
         start, end = self.bandwidth_knots[piece], self.bandwidth_knots[piece + 1]
-        return np.asarray((1 - weight) * start + weight * end)
+        return (1 - weight) * start + weight * end
 
     def boundary_layer(self, time: FloatArray | float) -> FloatArray:
         """Φ*, shape ``(..., m)``."""
@@ -137,13 +137,13 @@ class Plan:
         """Bounds of ``|ỹ^(k)|``, k < n, shape ``(..., n, m)``."""
         x, c, _ = self._bound_piece(time)
         y0, d0, c2, c3 = (c[..., k, :, :] for k in range(4))
-        return np.asarray(y0 + x * (d0 + x * (c2 + x * c3)))
+        return y0 + x * (d0 + x * (c2 + x * c3))
 
     def _error_bound_rate(self, time: FloatArray | float) -> FloatArray:
         """The exact time derivative of `error_bound`."""
         x, c, h = self._bound_piece(time)
         _, d0, c2, c3 = (c[..., k, :, :] for k in range(4))
-        return np.asarray((d0 + x * (2 * c2 + 3 * x * c3)) / h)
+        return (d0 + x * (2 * c2 + 3 * x * c3)) / h
 
     def _bound_piece(
         self, time: FloatArray | float
@@ -170,7 +170,7 @@ class Plan:
 
     def position_tube(self, time: FloatArray | float) -> FloatArray:
         """Ω, the bound of ``|ỹ|``, shape ``(..., m)``."""
-        return np.asarray(self.error_bound(time)[..., 0, :])
+        return self.error_bound(time)[..., 0, :]
 
     def between(self, start: float, end: float) -> Plan:
         """A part of the plan, which is the same functions of time.

@@ -109,7 +109,7 @@ class Iteration:
         defect: largest difference between the program's tube and the exact
             tube at the new iterate, in m.
         step: largest change of the reference, in m.
-        fraction: of the program's step that was walked.
+        fraction: of the program's step that was taken.
         proximity: weight of the proximal term (the soft trust region).
         predicted: decrease of the merit function that the program promised.
         update_time, solve_time, evaluate_time: in s.

@@ -108,7 +108,7 @@ def broken(record: Array) -> Array:
     What nobody has looked at is not known to be kept, and counts as broken.
     """
     unseen = np.isneginf(record[WORST, ..., FINITE])[..., None]
-    return np.asarray(unseen | ~np.isinf(record[SINCE]))
+    return unseen | ~np.isinf(record[SINCE])
 
 
 def extremes(record: Array) -> dict[str, float]:

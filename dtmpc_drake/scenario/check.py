@@ -303,7 +303,7 @@ def smallest_final_tube(scenario: Scenario) -> Array:
         velocity_bound="paper",
         step=2 * span / (half - 1),
     )
-    return np.asarray(tube.error_bound[-1, 0])
+    return tube.error_bound[-1, 0]
 
 
 def sensing_range_needed(scenario: Scenario, velocity: Array | None = None) -> float:

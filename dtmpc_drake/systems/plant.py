@@ -187,7 +187,7 @@ def _plant_of(T: Any) -> Any:
             if not self._model_error.HasValue(context):
                 return self._model.true_drift(x, self._parameters(context))
             error = self._unflattened(self._model_error.Eval(context), -1)
-            return np.asarray(self._model.drift(x) + error)
+            return self._model.drift(x) + error
 
         def _unflattened(self, values: Array, *shape: int) -> Array:
             return unflattened(values, (*self._lead, *shape), trials=bool(self._lead))

@@ -62,7 +62,7 @@ def tube_ratios(
 
 def _last_axis_max(values: Array) -> Array:
     """The largest along the last axis; NumPy itself is slow along a short one."""
-    return np.asarray(np.asfortranarray(values).max(axis=-1))
+    return np.asfortranarray(values).max(axis=-1)
 
 
 class TubeMonitor(LeafSystem):
@@ -272,13 +272,13 @@ class TubeMonitor(LeafSystem):
     def _speed(self, context: Any, state: Array) -> Array:
         """|dy/dt|, ``(count, m)``; minus infinity where it cannot be known yet."""
         if self._shape[1] > 1:
-            return np.asarray(np.abs(state[:, 1]))
+            return np.abs(state[:, 1])
         elapsed = self._elapsed(context)
         if not elapsed >= _SHORTEST:
             return np.full_like(state[:, 0], -np.inf)
         before = context.get_discrete_state(self._last_state).value()[:-1]
         moved = np.abs(state[:, 0] - before.reshape(state[:, 0].shape))
-        return np.asarray(moved / elapsed)
+        return moved / elapsed
 
     def _elapsed(self, context: Any) -> float:
         """Since the position that was kept, in s; NaN if there is none."""

@@ -23,7 +23,7 @@ def embedding(num_outputs: int) -> FloatArray:
 
 def missing_axes(num_outputs: int) -> FloatArray:
     """One for every axis of the picture that no output moves along, ``(3,)``."""
-    return np.asarray(1.0 - embedding(num_outputs).sum(axis=1))
+    return 1.0 - embedding(num_outputs).sum(axis=1)
 
 
 def obstacle_sections(
@@ -93,7 +93,7 @@ def tube_rings(
     width = (np.abs(side) * half_axes).sum(axis=1)[:, None] * side
     height = (np.abs(up) * half_axes).sum(axis=1)[:, None] * up
     corners = [width + height, width - height, -width - height, height - width]
-    return np.asarray(position[:, None] + np.stack(corners, axis=1))
+    return position[:, None] + np.stack(corners, axis=1)
 
 
 def swept_mesh(

@@ -114,13 +114,13 @@ class Coloring:
     @staticmethod
     def _values(plan: Plan, time: FloatArray, color_by: ColorBy) -> FloatArray:
         if color_by == "bandwidth":
-            return np.asarray(plan.bandwidth(time).max(axis=-1))
-        return np.asarray(np.linalg.norm(plan.reference(time)[:, 1], axis=-1))
+            return plan.bandwidth(time).max(axis=-1)
+        return np.linalg.norm(plan.reference(time)[:, 1], axis=-1)
 
     def rgb(self, values: FloatArray) -> FloatArray:
         """Colours of the values, shape ``(..., 3)``, in [0, 1]."""
         share = (values - self.low) / (self.high - self.low)
-        return np.asarray(self.colormap(share)[..., :3])
+        return self.colormap(share)[..., :3]
 
 
 def cloud_colors(names: Iterable[str]) -> dict[str, str]:

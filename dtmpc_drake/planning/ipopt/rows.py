@@ -123,7 +123,7 @@ def bound_rows(
             return rows.values(z)
         gradient = np.zeros((count, len(used)))
         gradient[row, column] = rows.slopes(z)[row, entry] * scale[used][column]
-        return np.asarray(InitializeAutoDiff(rows.values(z), gradient))
+        return InitializeAutoDiff(rows.values(z), gradient)
 
     constraint = program.AddConstraint(
         evaluate, np.broadcast_to(low, count), np.broadcast_to(high, count), x[used]
@@ -252,7 +252,7 @@ class Collocation(NlpRows):
         states = self._points[:, self._state :]
         simpson = (by[0] + 4 * by[1] + by[2]) / 6
         slopes = states[2] - states[0] - self._step * simpson
-        return np.asarray(slopes.reshape(self.columns.shape))
+        return slopes.reshape(self.columns.shape)
 
 
 class AtKnots(NlpRows):
@@ -284,7 +284,7 @@ class AtKnots(NlpRows):
         self.columns = self._columns.repeat(flat(np.ones(size)).size, axis=0)
 
     def _local(self, z: Array) -> Array:
-        return np.asarray(z[self._columns] @ self._matrix.T)
+        return z[self._columns] @ self._matrix.T
 
     def values(self, z: Array) -> Array:
         """See base class."""
@@ -293,7 +293,7 @@ class AtKnots(NlpRows):
     def slopes(self, z: Array) -> Array:
         """See base class."""
         slopes = jacobian(self._function, self._local(z)) @ self._matrix
-        return np.asarray(slopes.reshape(self.columns.shape))
+        return slopes.reshape(self.columns.shape)
 
 
 class Separation(NlpRows):
@@ -336,7 +336,7 @@ class Separation(NlpRows):
         self.columns = self._columns.repeat(len(tr.position_basis), axis=0)
 
     def _cubic(self, states: Array) -> Array:
-        return np.asarray(np.einsum("cjs,ps->pcj", self._tube, states))
+        return np.einsum("cjs,ps->pcj", self._tube, states)
 
     def _evaluate(self, z: Array) -> tuple[Array, Array, Array]:
         """Control points, those of the tube, and the normals' turning."""
@@ -355,7 +355,7 @@ class Separation(NlpRows):
         states = np.einsum("pcj,cjs->pcs", by_tube, self._tube)
         P, c = turn.shape[:2]
         slopes = np.concatenate([position.reshape(P, c, -1), states, turn], axis=2)
-        return np.asarray(slopes.reshape(self.columns.shape))
+        return slopes.reshape(self.columns.shape)
 
 
 def rounded(

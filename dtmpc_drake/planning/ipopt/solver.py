@@ -319,7 +319,7 @@ class _Program:
     def _block(self, z: Array, name: str) -> Array:
         """A block of z, ``(..., m)``."""
         block = z[self.layout.blocks[name]]
-        return np.asarray(block.reshape(-1, self.transcription.outputs))
+        return block.reshape(-1, self.transcription.outputs)
 
 
 def _blocks(index: Array) -> list[Array]:

@@ -170,7 +170,7 @@ class _Pieces:
 
     def times(self) -> Array:
         count = (len(self.plan.tube_times) - 1) * self.parts
-        return np.asarray(self.plan.start_time + self.step * np.arange(count + 1))
+        return self.plan.start_time + self.step * np.arange(count + 1)
 
     def reference(self) -> Polynomial:
         tube_steps = (len(self.plan.tube_times) - 1) // (len(self.plan.knots) - 1)
@@ -210,9 +210,7 @@ class _Arc:
 
     def highest(self, step: float) -> Array:
         """A bound all along the interval."""
-        return np.asarray(
-            np.maximum(self.start, self.end) + step**2 / 8 * self.curvature
-        )
+        return np.maximum(self.start, self.end) + step**2 / 8 * self.curvature
 
 
 def _velocity_tube(

@@ -53,7 +53,7 @@ class Multipliers:
 
         def shared(values: Array, count: int) -> Array:
             index = np.arange(count) * len(values) // count
-            return np.asarray(values[index] * (len(values) / count))
+            return values[index] * (len(values) / count)
 
         def at_nodes(values: Array, like: Array) -> Array:
             return np.concatenate([shared(values[:-1], len(like) - 1), like[:1]])
@@ -123,4 +123,4 @@ def rotation_curvature(planes: Halfplanes, multipliers: Multipliers) -> Array:
     """
     lost = np.maximum(planes.lost_by_turning(), 0.0)
     price = multipliers.planes[planes.piece, planes.obstacle]
-    return np.asarray(LOSS * (price * lost).sum(axis=1))
+    return LOSS * (price * lost).sum(axis=1)

@@ -168,7 +168,7 @@ class SampledRows(Block):
             law = tr.problem.law
             own = limit.facet_margins(law, instant, margins, self._facets)
             rows = np.concatenate([rows, own])
-        return np.asarray(rows / limit.scale)
+        return rows / limit.scale
 
     def margins(self, reached: Iterate, planes: Halfplanes) -> Array:
         """See base class."""
@@ -230,7 +230,7 @@ class LinearRows(Block):
 
     def margins(self, reached: Iterate, planes: Halfplanes) -> Array:
         """See base class."""
-        return np.asarray(reached.linear[self._number][self._which])
+        return reached.linear[self._number][self._which]
 
 
 class PlaneRows(Block):

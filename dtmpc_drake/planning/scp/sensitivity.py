@@ -137,7 +137,7 @@ def _runge_kutta(A: list[Array], B: list[Array], X: Array, step: float) -> Array
     k2 = A[1] @ (X + step / 2 * k1) + B[1]
     k3 = A[1] @ (X + step / 2 * k2) + B[1]
     k4 = A[2] @ (X + step * k3) + B[2]
-    return np.asarray(X + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
+    return X + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
 def _lobatto(A: list[Array], B: list[Array], X: Array, step: float) -> Array:
@@ -155,12 +155,12 @@ def _lobatto(A: list[Array], B: list[Array], X: Array, step: float) -> Array:
     right = np.concatenate([a @ X + b for a, b in zip(A, B, strict=True)], axis=-2)
     stages = np.linalg.solve(system, right)
     k1, k2, k3 = (stages[..., i * size : (i + 1) * size, :] for i in range(3))
-    return np.asarray(X + step / 6 * (k1 + 4 * k2 + k3))
+    return X + step / 6 * (k1 + 4 * k2 + k3)
 
 
 def kinks(second: Array, secant: Array | float) -> Array:
     """Second differences that are kinks: upwards, and more than smooth ones."""
-    return np.asarray(np.where(second > SMOOTH * secant, second, 0.0))
+    return np.where(second > SMOOTH * secant, second, 0.0)
 
 
 def _axis_by_axis(p: Problem, alpha: Array, states: Array) -> tuple[Array, Array]:

@@ -352,7 +352,7 @@ def _order(candidate: Candidate) -> tuple[bool, float, bool, float, str, str]:
 
 def _path(plan: Plan) -> Array:
     time = np.linspace(plan.start_time, plan.end_time, 4 * len(plan.knots) - 3)
-    return np.asarray(plan.reference(time)[:, 0])
+    return plan.reference(time)[:, 0]
 
 
 def _ends(problem: Problem) -> Array:

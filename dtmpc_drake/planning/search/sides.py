@@ -130,18 +130,18 @@ class Frame:
     def point(self, q: Array, height: Array | float = 0.0) -> Array:
         """From the plane to outputs, ``(..., 2)`` to ``(..., m)``."""
         rise = np.asarray(height)[..., None] * self.up
-        return np.asarray(self.origin + q @ self.plane.T + rise)
+        return self.origin + q @ self.plane.T + rise
 
     def project(self, points: Array) -> Array:
         """From outputs to the plane, ``(..., m)`` to ``(..., 2)``."""
-        return np.asarray((points - self.origin) @ self.plane)
+        return (points - self.origin) @ self.plane
 
 
 def nominal_tube(problem: Problem) -> Array:
     """Ω at rest with the highest bandwidth and a model without error, ``(m,)``."""
     forcing = problem.law.forcing_of(0.0)
     layer = forcing / problem.bandwidth.high
-    return np.asarray(layer / problem.law.slope ** (problem.law.order - 1))
+    return layer / problem.law.slope ** (problem.law.order - 1)
 
 
 def on_the_way(obstacles: ObstacleSet, frame: Frame, tube: Array) -> list[Section]:
