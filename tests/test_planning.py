@@ -253,6 +253,15 @@ def test_a_constant_bound_is_kept_above_the_true_one(backend):
     assert 0 <= margin < 0.01  # the limit is felt
 
 
+def test_a_model_that_is_known_has_the_constant_zero():
+    scenario = field(DragDoubleIntegrator(drag_estimate=0.1, drag_error_bound=0.0))
+    expected = plan(scenario)
+    scenario.planner.uncertainty = "constant"
+    result = plan(scenario)
+    assert result.certified
+    assert result.cost == pytest.approx(expected.cost, rel=1e-3)
+
+
 @pytest.mark.parametrize(
     "model", [PlanarOnSlope(), ThirdOrderPlanar()], ids=["n=2", "n=3"]
 )

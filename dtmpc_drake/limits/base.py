@@ -130,7 +130,10 @@ class SampledLimit(Limit):
     @property
     @abc.abstractmethod
     def size(self) -> Array | float:
-        """What is limited is about so large: the limit itself, ``(q,)`` or a number."""
+        """What is limited is about so large: the limit itself, ``(q,)`` or a number.
+
+        Above 0 for limits that are looked at between knots, where they are near.
+        """
 
     def slopes(
         self, law: SlidingLaw, at: Instant, secant: float, facets: Facets

@@ -98,9 +98,9 @@ class SampledRows(Block):
     def _chosen(self, margin: Array) -> Array:
         """Knots, some fixed nodes between them, and where the limit is nearest."""
         tr, options = self._tr, self._tr.options
-        room = np.asarray(margin / self._limit.size).min(axis=1)
         if not self._limit.between_knots:
-            return np.arange(0, len(room), tr.tube_steps)
+            return np.arange(0, len(margin), tr.tube_steps)
+        room = (margin / self._limit.size).min(axis=1)
         inner = tr.pieces(room)[:, 1:-1]
         chosen = np.zeros(inner.shape, dtype=bool)
         chosen[:, tr.tube_steps // BETWEEN - 1 :: tr.tube_steps // BETWEEN] = True
