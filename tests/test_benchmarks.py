@@ -15,7 +15,7 @@ from dtmpc_drake.scenario import Controller, Planner, Scenario, Waypoint, valida
 
 pytest.importorskip("casadi")
 
-from tests.benchmarks import bench_safe_plan
+from tests.benchmarks import bench_safe_plan, bench_tube_price
 from tests.benchmarks.bench_safe_plan import STEP_MM, smallest_inflation
 from tests.benchmarks.casadi_peer import Peer, Solution
 
@@ -90,3 +90,8 @@ def test_table_of_safe_plans(monkeypatch: pytest.MonkeyPatch) -> None:
     # Its speed exceeds the limit between knots.
     assert section.rows[1][10].startswith("speed -0.00")
     assert "No clear plan of the peer is certified." in text
+
+
+def test_a_plan_is_dearer_with_its_tube() -> None:
+    data = bench_tube_price.run("known_environment", 1).data
+    assert data["with tube"]["cost"] > 1.5 * data["no tube, bandwidth decided"]["cost"]

@@ -32,7 +32,7 @@ class Section:
 
     title: str
     columns: Sequence[str]
-    rows: list[Sequence[str]]
+    rows: Sequence[Sequence[str]]
     notes: list[str]
     data: dict[str, Any]
 

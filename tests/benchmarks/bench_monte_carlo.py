@@ -28,17 +28,16 @@ def run(scenario_name: str, repeats: int) -> Section:
         call()
         return time.perf_counter() - start
 
-    def batch(count: int) -> Batch:
-        return Batch(scenario_name, scenario, chosen, range(count))
+    def flown(count: int) -> Callable[[int], float]:
+        batch = Batch(scenario_name, scenario, chosen, range(count))
+        return lambda _: timed(lambda: fly(batch))
 
     single = "one simulation"
     runs: dict[str, Callable[[int], float]] = {
         single: lambda _: timed(lambda: Simulate(scenario, plan=chosen))
     }
     for count in TRIALS:
-        runs[f"{count} trials"] = lambda _, count=count: timed(
-            lambda: fly(batch(count))
-        )
+        runs[f"{count} trials"] = flown(count)
     repeats = min(repeats, REPEATS)
     times = interleaved(runs, dict.fromkeys(runs, repeats))
     seconds = {name: median(values) for name, values in times.items()}

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 from dtmpc_drake.planning import Problem, plan_problem
 from dtmpc_drake.planning.baselines import VANISHING, bandwidth_cost, without_tube
+from dtmpc_drake.records.result import PlanningResult
 from dtmpc_drake.scenario import load_scenario
 from tests.benchmarks.bench_common import (
     STAGES,
@@ -28,17 +30,16 @@ def run(scenario_name: str, repeats: int) -> Section:
     problems = {
         "with tube": tube,
         "no tube, bandwidth decided": dataclasses.replace(
-            nominal,
-            bandwidth_min=tube.bandwidth_min,
-            bandwidth_max=tube.bandwidth_max,
+            nominal, bandwidth=tube.bandwidth
         ),
         "no tube, bandwidth at its minimum": nominal,
     }
+
+    def planned(problem: Problem) -> Callable[[int], PlanningResult]:
+        return lambda _: plan_problem(problem, settings)
+
     results = interleaved(
-        {
-            name: lambda _, problem=problem: plan_problem(problem, settings)
-            for name, problem in problems.items()
-        },
+        {name: planned(problem) for name, problem in problems.items()},
         dict.fromkeys(problems, repeats),
     )
     data = {name: summary(r) for name, r in results.items()}

@@ -27,6 +27,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
+from dtmpc_drake.costs import InputCost
 from dtmpc_drake.models import DragDoubleIntegrator
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.planning.problem import Problem
@@ -239,7 +240,8 @@ class Peer:
             program.add(ca.sum1(offset**2) - reach**2, low=0.0)
 
         u = a + drag * _rows(_norm(v)) * v
-        running = p.costs[0].weight * ca.sum1(u**2)
+        weight = sum(c.weight for c in p.costs if isinstance(c, InputCost))
+        running = weight * ca.sum1(u**2)
         excess = alpha - p.bandwidth_cost.floor
         running += p.bandwidth_cost.weight * ca.sum1(excess**2)
         cost = running @ ca.DM(self.transcription.weights)
