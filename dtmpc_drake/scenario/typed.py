@@ -34,6 +34,8 @@ _SCALARS: dict[Any, tuple[Any, str]] = {
     str: (str, "text"),
     bool: (bool, "true/false"),
 }
+_NESTED = "a number", "a list of numbers", "a matrix: a list of its rows"
+"""What a value is called by how deep its lists are nested."""
 
 
 def typed(schema: Any, value: Any, path: str) -> Any:
@@ -55,8 +57,7 @@ def typed(schema: Any, value: Any, path: str) -> Any:
         options = [a for a in args if a is not type(None)]
         if value is None and len(options) < len(args):
             return None
-        if len(options) == 1:
-            return typed(options[0], value, path)
+        return typed(_fitting(options, value, path), value, path)
     elif origin is list and args:
         items = value.tolist() if isinstance(value, np.ndarray) else value
         if not isinstance(items, (list, tuple)):
@@ -78,7 +79,32 @@ def typed(schema: Any, value: Any, path: str) -> Any:
     elif schema in _SCALARS:
         return _scalar(schema, value, path)
     known = "float, int, str, bool, list[...], dict[str, ...], or a dataclass of these"
-    raise ScenarioError(path, schema, f"annotated as {known}, or one of them | None")
+    raise ScenarioError(path, schema, f"annotated as {known}, or some of them | None")
+
+
+def _fitting(options: list[Any], value: Any, path: str) -> Any:
+    """The one of some types that a value is meant to be: a number, a list, a matrix."""
+    if len(options) == 1:
+        return options[0]
+    by_depth = {_depth(option): option for option in options}
+    option = by_depth.get(_depth_of(value))
+    if option is None:
+        known = " or ".join(_NESTED[depth] for depth in sorted(by_depth))
+        raise ScenarioError(path, value, known)
+    return option
+
+
+def _depth(schema: Any) -> int:
+    """How deep lists are nested in a type."""
+    nested = typing.get_origin(schema) is list
+    return 1 + _depth(typing.get_args(schema)[0]) if nested else 0
+
+
+def _depth_of(value: Any) -> int:
+    """The same of a value."""
+    if not isinstance(value, (list, tuple, np.ndarray)):
+        return 0
+    return 1 + (_depth_of(value[0]) if len(value) else 0)
 
 
 def is_writable(cls: type) -> bool:
