@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from dtmpc_drake.method.tightening import Instant, input_bound, rate_bound
+from dtmpc_drake.method.tightening import Instant, deviation_bound, input_bound
 from dtmpc_drake.method.tube import cascade_bound, comparison_rate
 from dtmpc_drake.models import ConstantUncertainty, DragDoubleIntegrator
 from dtmpc_drake.numerics.polynomials import Polynomial
@@ -140,7 +140,7 @@ def test_every_margin_is_below_a_dense_sample_of_it_and_near(result, problem):
     bound = integrated_bounds(plan, problem, time)
     bandwidth = gain / plan.boundary_layer(time)
     at = Instant(reference[:, :n], reference[:, n], gain, bound)
-    speed = np.abs(reference[:, 1]) + rate_bound(problem.law, at)
+    speed = np.abs(reference[:, 1]) + deviation_bound(problem.law, at, 1)
     used = input_bound(problem.law, at)
     dense = {
         "speed": problem.speed.bound - speed.max(),

@@ -8,6 +8,7 @@ enter here: the certificate rests on this room.
 from dtmpc_drake.limits.bandwidth import BandwidthLimit
 from dtmpc_drake.limits.base import (
     LIMITS,
+    ConvexLimit,
     Limit,
     LinearLimit,
     SampledLimit,
@@ -15,17 +16,24 @@ from dtmpc_drake.limits.base import (
 )
 from dtmpc_drake.limits.cover import CoverLimit
 from dtmpc_drake.limits.input import InputLimit
+from dtmpc_drake.limits.inputs import InputRange
+from dtmpc_drake.limits.norms import NormLimit
 from dtmpc_drake.limits.obstacles import ObstacleLimit
+from dtmpc_drake.limits.position import PositionLimit
 from dtmpc_drake.limits.speed import SpeedLimit
 
 __all__ = [
     "LIMITS",
     "BandwidthLimit",
+    "ConvexLimit",
     "CoverLimit",
     "InputLimit",
+    "InputRange",
     "Limit",
     "LinearLimit",
+    "NormLimit",
     "ObstacleLimit",
+    "PositionLimit",
     "SampledLimit",
     "SpeedLimit",
     "register_limit",

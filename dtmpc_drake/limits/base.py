@@ -3,8 +3,9 @@
 A limit is one class in one file.  Whoever has to do with limits (the evaluation of an
 iterate, both backends, the certificate, messages, figures) asks each in turn, and knows
 none of them.  There are two families beside the obstacles: what is a function of one
-instant (`SampledLimit`), and what is linear in a derivative of the reference
-(`LinearLimit`), which holds between knots, too, where it holds at control points.
+instant (`SampledLimit`), and what is convex in one derivative of the output
+(`ConvexLimit`, and `LinearLimit` of these), which holds between knots, too, where it
+holds at control points.
 """
 
 from __future__ import annotations
@@ -190,11 +191,65 @@ class SampledLimit(Limit):
         return None
 
 
-class LinearLimit(Limit):
-    """Limits ``a'y^(k) <= b``, tightened by ``|a|'R_k`` for the tube."""
+class ConvexLimit(Limit):
+    """A limit on one derivative of the output that is convex in it.
 
-    derivative: ClassVar[int]
-    """k, less than n, or k = n = 1."""
+    It holds between knots, too, where it holds at control points: in the derivative of
+    the reference and in the tube, in which it grows, it is at most a mean of those.
+    """
+
+    @property
+    @abc.abstractmethod
+    def derivative(self) -> int:
+        """k, at most n."""
+
+    @property
+    @abc.abstractmethod
+    def size(self) -> float:
+        """What is limited is about so large; margins are near or far in parts of it."""
+
+    @abc.abstractmethod
+    def left(self, value: Array, spread: Array) -> Array:
+        """What is left where the derivative is within some distance of a value.
+
+        Args:
+            value: of the derivative, ``(..., m)``.
+            spread: the distance, element by element, ``(..., m)``.
+
+        Returns:
+            ``(..., q)``; concave in both, and falling in the second.
+        """
+
+    @abc.abstractmethod
+    def left_slopes(self, value: Array, spread: Array) -> tuple[Array, Array]:
+        """Derivatives of `left` by value and by spread, ``(..., q, m)`` each."""
+
+    def margins(self, law: SlidingLaw, at: Instant) -> Array:
+        """See base class."""
+        k = self.derivative
+        return self.left(at.derivative(k), deviation_bound(law, at, k))
+
+    def flown(self, state: Array, control: Array) -> Array | None:
+        """See base class."""
+        if self.derivative >= state.shape[-2]:
+            return None
+        value = state[..., self.derivative, :]
+        return self.left(value, np.zeros_like(value))
+
+    def proven(self, enclosure: Enclosure) -> Array:
+        """See base class.
+
+        All along an interval y^(k) is within tube and sag of the chord of y*^(k), on
+        which what is left is least at one of its ends.
+        """
+        k = self.derivative
+        deviation = deviation_bound(enclosure.law, enclosure.instant, k)
+        spread = deviation + enclosure.sag(k)
+        return self.left(enclosure.ends(k), spread).min(axis=0)
+
+
+class LinearLimit(ConvexLimit):
+    """Limits ``a'y^(k) <= b``, tightened by ``|a|'R_k`` for the tube."""
 
     @abc.abstractmethod
     def normals(self, num_outputs: int) -> Array:
@@ -205,30 +260,14 @@ class LinearLimit(Limit):
     def bounds(self) -> Array | float:
         """The bounds b, ``(q,)`` or a number."""
 
-    @property
-    @abc.abstractmethod
-    def size(self) -> float:
-        """What is limited is about so large; margins are near or far in parts of it."""
-
-    def margins(self, law: SlidingLaw, at: Instant) -> Array:
+    def left(self, value: Array, spread: Array) -> Array:
         """See base class."""
-        normals = self.normals(law.num_outputs)
-        used = deviation_bound(law, at, self.derivative) @ np.abs(normals).T
-        return self.bounds - at.derivative(self.derivative) @ normals.T - used
+        normals = self.normals(value.shape[-1])
+        return self.bounds - value @ normals.T - spread @ np.abs(normals).T
 
-    def flown(self, state: Array, control: Array) -> Array | None:
+    def left_slopes(self, value: Array, spread: Array) -> tuple[Array, Array]:
         """See base class."""
-        if self.derivative >= state.shape[-2]:
-            return None
-        normals = self.normals(state.shape[-1])
-        return self.bounds - state[..., self.derivative, :] @ normals.T
-
-    def proven(self, enclosure: Enclosure) -> Array:
-        """See base class; Taylor's formula about the middle of each interval."""
-        k, reference = self.derivative, enclosure.reference
-        normals = self.normals(enclosure.law.num_outputs)
-        spread = reference.radius(k) + deviation_bound(
-            enclosure.law, enclosure.instant, k
-        )
-        middle = reference.derivatives[:, k] @ normals.T
-        return self.bounds - middle - spread @ np.abs(normals).T
+        normals = self.normals(value.shape[-1])
+        shape = (*value.shape[:-1], *normals.shape)
+        by_value, by_spread = -normals, -np.abs(normals)
+        return np.broadcast_to(by_value, shape), np.broadcast_to(by_spread, shape)

@@ -8,11 +8,11 @@ from typing import ClassVar
 import numpy as np
 
 from dtmpc_drake.limits.base import Facets, SampledLimit, Slopes
+from dtmpc_drake.limits.input_slopes import InputSlopes
 from dtmpc_drake.method.enclosure import Enclosure
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.tightening import Instant, input_bound
-from dtmpc_drake.numerics.arrays import Array, euclidean_norm, magnitude
-from dtmpc_drake.numerics.differences import Parts
+from dtmpc_drake.numerics.arrays import Array, euclidean_norm
 
 APEX = 0.05
 """Below this part of the limit the norm of B⁻¹ y*^(n) is cut from all sides."""
@@ -73,66 +73,20 @@ class InputLimit(SampledLimit):
     def slopes(
         self, law: SlidingLaw, at: Instant, secant: float, facets: Facets
     ) -> Slopes:
-        """See base class.
-
-        Only the model is differentiated by differences, once for all that is made of
-        it; the rest is written out.
-        """
-        model, n, m = law.model, law.order, law.num_outputs
-        parts = Parts(
-            {
-                "drift_bound_over": model.drift_bound_over,
-                "own": lambda x, _: model.model_error_bound(x),
-                "largest": model.model_error_bound_over,
-                "inverse": lambda x, _: model.inverse_input_matrix(x),
-                "deviation": model.inverse_input_deviation,
-            },
-            at.state,
-            at.error_bound,
-            secant,
-        )
-        # Theorem 2, as in `tightening.feedback_bound`.
-        largest, by_largest = parts["largest"]
-        own, by_own = parts["own"]
-        limit, by_limit = parts["drift_bound_over"]
-        c = law.coefficients
-        excess = at.gain - own + largest / 2
-        size = magnitude(excess)
-        sign = excess / size
-        feedback = limit + largest / 2 + size
-        feedback = feedback + (c[:-1] * at.error_bound[:, 1:]).sum(axis=1)
-        by_feedback = by_limit + by_largest / 2
-        by_feedback += sign[:, :, None] * (by_largest / 2 - by_own)
-        axes = np.arange(m)
-        for k in range(1, n):
-            by_feedback[:, axes, (n + k) * m + axes] += c[k - 1]
-
-        # Corollary 2, as in `tightening.input_bound`.
-        highest, away = at.highest, magnitude(at.highest)
-        inverse, by_inverse = parts["inverse"]
-        deviation, by_deviation = parts["deviation"]
-        reaction = np.abs(inverse) + deviation
-        nominal = (inverse * highest[:, None]).sum(axis=-1)
-        worst = (deviation * away[:, None] + reaction * feedback[:, None]).sum(axis=-1)
-        against = (worst / euclidean_norm(worst)[:, None])[:, None]
-        through = against @ reaction
-        by_model = through @ by_feedback
-        if by_inverse.any() or by_deviation.any():
-            changes = np.sign(inverse)[..., None] * by_inverse + by_deviation
-            by_model += np.einsum("kpi,kijl,kj->kpl", against, changes, feedback)
-            by_model += np.einsum("kpi,kijl,kj->kpl", against, by_deviation, away)
-        by_highest = against @ deviation * (highest / away)[:, None]
-        by_gain = through * sign[:, None]
-
+        """See base class."""
+        inputs = InputSlopes(law, at, secant)
+        nominal, spread = inputs.nominal, inputs.spread
+        against = (spread / euclidean_norm(spread)[:, None])[:, None]
+        by_model, by_highest, by_gain = inputs.through_spread(-against)
         # ‖B⁻¹ y*^(n)‖ along its own direction, and along the facets' ones.
         each = np.concatenate([np.arange(len(nominal)), facets.place])
         steepest = nominal / euclidean_norm(nominal)[:, None]
-        along = np.concatenate([steepest, facets.direction])[:, None]
-        by_nominal = np.einsum("kijl,kj->kil", by_inverse, highest)[each]
+        along = np.concatenate([steepest, facets.direction])
+        own_model, own_highest = inputs.through_nominal(each, -along)
         return Slopes(
-            by_model=-(by_model[each] + along @ by_nominal)[:, 0],
-            by_highest=-(by_highest[each] + along @ inverse[each])[:, 0],
-            by_gain=-by_gain[each, 0],
+            by_model=by_model[each, 0] + own_model,
+            by_highest=by_highest[each, 0] + own_highest,
+            by_gain=by_gain[each, 0],
         )
 
     def curvature(self, at: Instant) -> Array:

@@ -12,15 +12,15 @@ from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.numerics.arrays import Array
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class SpeedLimit(LinearLimit):
     """``|dy_i/dt| <= bound`` on every axis.
 
     Attributes:
-        bound: in output unit / s.
+        bound: in output unit / s, one for all axes or one for each.
     """
 
-    bound: float
+    bound: float | list[float]
 
     name: ClassVar[str] = "speed"
     derivative: ClassVar[int] = 1
@@ -39,11 +39,13 @@ class SpeedLimit(LinearLimit):
         return np.stack([eye, -eye], axis=1).reshape(-1, num_outputs)
 
     @property
-    def bounds(self) -> float:
+    def bounds(self) -> Array | float:
         """See base class."""
+        if isinstance(self.bound, list):
+            return np.repeat(np.array(self.bound), 2)
         return self.bound
 
     @property
     def size(self) -> float:
-        """See base class."""
-        return self.bound
+        """The largest."""
+        return float(np.max(self.bound))

@@ -76,6 +76,19 @@ class Enclosure:
         """y*."""
         return self.corridor.reference
 
+    def ends(self, k: int) -> Array:
+        """y*^(k) at both ends of every interval, k up to n, ``(2, K, m)``."""
+        if k == self.law.order:
+            return self.instant.highest
+        meeting = self.reference.at_ends(k)
+        return np.stack([meeting[:-1], meeting[1:]])
+
+    def sag(self, k: int) -> Array | float:
+        """How far y*^(k) may be from the chord between its ends, ``(K, m)``."""
+        if k == self.law.order:
+            return 0.0  # y*^(n) is linear
+        return self.reference.half**2 / 2 * self.reference.largest(k + 2)
+
     @cached_property
     def instant(self) -> Instant:
         """What is known all along each interval.

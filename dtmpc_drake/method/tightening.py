@@ -58,28 +58,35 @@ def feedback_bound(law: SlidingLaw, at: Instant) -> Array:
     Returns:
         Shape ``(..., m)``, in output unit / s^n.
     """
-    model = law.model
-    damping = (law.coefficients[:-1] * at.error_bound[..., 1:, :]).sum(axis=-2)
-    largest = model.model_error_bound_over(at.state, at.box)
+    largest = law.model.model_error_bound_over(at.state, at.box)
+    drift = law.model.drift_bound_over(at.state, at.box)
+    return drift + _damping(law, at) + _switching(law, at, largest)
+
+
+def _damping(law: SlidingLaw, at: Instant) -> Array:
+    return (law.coefficients[:-1] * at.error_bound[..., 1:, :]).sum(axis=-2)
+
+
+def _switching(law: SlidingLaw, at: Instant, largest: Array) -> Array:
+    """The bound of |K|, Δ̄ given."""
     # 0 <= Δ(x) <= Δ̄, so |K| is at most the larger of κ + Δ̄ - Δ(x*) and
     # Δ(x*) - κ, written without a maximum.
-    excess = at.gain - model.model_error_bound(at.state)
-    switching = largest / 2 + magnitude(excess + largest / 2) + at.gain_radius
-    return model.drift_bound_over(at.state, at.box) + damping + switching
+    excess = at.gain - law.model.model_error_bound(at.state)
+    return largest / 2 + magnitude(excess + largest / 2) + at.gain_radius
 
 
-def input_bound(law: SlidingLaw, at: Instant) -> Array:
-    """A bound of ``‖u‖`` anywhere in the tube  (corollary 2).
+def input_range(law: SlidingLaw, at: Instant) -> tuple[Array, Array]:
+    """Where u may be anywhere in the tube: a middle, and how far from it.
 
-    ``‖B⁻¹(x*) y*^(n)‖ + ‖δ |y*^(n)| + (|B⁻¹(x*)| + δ) ū_fb‖`` with δ the bound of
-    how much B⁻¹ changes over the tube; the paper's when B is constant.
+    ``|u - B⁻¹(x*) y*^(n)| <= δ |y*^(n)| + (|B⁻¹(x*)| + δ) ū_fb`` with δ the bound of
+    how much B⁻¹ changes over the tube.
 
     Returns:
-        Shape ``(...)``, in the unit of the input.
+        Both ``(..., m)``, in the unit of the input.
     """
     model, feedback = law.model, feedback_bound(law, at)
     if model.input_is_identity:
-        return euclidean_norm(at.highest) + euclidean_norm(feedback)
+        return at.highest, feedback
     inverse = model.inverse_input_matrix(at.state)
     deviation = model.inverse_input_deviation(at.state, at.box)
     nominal = (inverse * at.highest[..., None, :]).sum(axis=-1)
@@ -87,27 +94,30 @@ def input_bound(law: SlidingLaw, at: Instant) -> Array:
         deviation * magnitude(at.highest)[..., None, :]
         + (np.abs(inverse) + deviation) * feedback[..., None, :]
     )
-    return euclidean_norm(nominal) + euclidean_norm(worst.sum(axis=-1))
+    return nominal, worst.sum(axis=-1)
+
+
+def input_bound(law: SlidingLaw, at: Instant) -> Array:
+    """A bound of ``‖u‖`` anywhere in the tube  (corollary 2).
+
+    Returns:
+        Shape ``(...)``, in the unit of the input.
+    """
+    middle, spread = input_range(law, at)
+    return euclidean_norm(middle) + euclidean_norm(spread)
 
 
 def deviation_bound(law: SlidingLaw, at: Instant, k: int) -> Array:
-    """A bound of ``|ỹ^(k)|``, ``(..., m)``, for k < n, or k = n = 1."""
-    if k == 1:
-        return rate_bound(law, at)
-    return at.error_bound[..., k, :]
+    """A bound of ``|ỹ^(k)|`` for k up to n, which tightens limits (corollary 1).
 
-
-def rate_bound(law: SlidingLaw, at: Instant) -> Array:
-    """The bound of ``|dỹ/dt|`` that tightens the speed limit (corollary 1).
-
-    For n >= 2 it is the velocity tube.  For n = 1 the velocity is the highest
-    derivative: ``dỹ/dt = f̃ + d - K sat(s/Φ)``.
+    The highest derivative is no state of the tube, but
+    ``ỹ^(n) = f̃ + d - Σ_{k=1}^{n-1} C(n-1,k-1) λ^(n-k) ỹ^(k) - K sat(s/Φ)``.
 
     Returns:
         Shape ``(..., m)``.
     """
-    if law.order > 1:
-        return at.error_bound[..., 1, :]
+    if k < law.order:
+        return at.error_bound[..., k, :]
     largest = law.model.model_error_bound_over(at.state, at.box)
-    excess = largest - law.model.model_error_bound(at.state) + at.gain_radius
-    return law.disturbance_bound + largest + at.gain + excess
+    pushed = law.disturbance_bound + largest
+    return pushed + _damping(law, at) + _switching(law, at, largest)

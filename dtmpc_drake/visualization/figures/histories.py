@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from dtmpc_drake.method.sliding import sliding_variable
-from dtmpc_drake.method.tightening import Instant, input_bound, rate_bound
+from dtmpc_drake.method.tightening import Instant, deviation_bound, input_bound
 from dtmpc_drake.numerics.arrays import Array, FloatArray
 from dtmpc_drake.records.flight import Flight
 from dtmpc_drake.records.plan import Plan
@@ -161,7 +161,7 @@ class _Planned:
             bandwidth=plan.bandwidth(time),
             error_bound=error_bound,
             boundary_layer=layer,
-            rate_bound=rate_bound(law, at),
+            rate_bound=deviation_bound(law, at, 1),
             feedforward=law.model.input_for(state, highest - law.model.drift(state)),
             input_bound=input_bound(law, at),
             own=[each.margins(law, at).min(axis=-1) for each in scenario.limits.own],

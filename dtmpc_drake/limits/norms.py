@@ -1,0 +1,205 @@
+"""Limits of a norm ``‖P z + q‖ <= c`` (assumption 5, corollaries 1 and 2).
+
+z is the output, one of its derivatives, or the input.  Each norm stands in a row of its
+own, and each component of ``P z + q``, which is no larger, in two more: near zero a norm
+has no slope to go by, but they have.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from dtmpc_drake.checks import (
+    Part,
+    Setting,
+    require_length,
+    require_magnitude,
+    require_positive,
+)
+from dtmpc_drake.errors import require
+from dtmpc_drake.limits.base import ConvexLimit, Facets, SampledLimit, Slopes
+from dtmpc_drake.limits.input_slopes import InputSlopes
+from dtmpc_drake.method.enclosure import Enclosure
+from dtmpc_drake.method.sliding import SlidingLaw
+from dtmpc_drake.method.tightening import Instant, input_range
+from dtmpc_drake.numerics.arrays import Array, euclidean_norm
+
+DERIVATIVES = "position", "velocity", "acceleration", "jerk"
+"""What a derivative of the output is called."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Norm:
+    """``‖P z + q‖ <= c`` for a z that is known up to some distance.
+
+    Attributes:
+        matrix: P, ``(r, m)``.
+        offset: q, ``(r,)``.
+        bound: c.
+    """
+
+    matrix: Array
+    offset: Array
+    bound: float
+
+    @cached_property
+    def _components(self) -> Array:
+        """Unit vectors both ways along every component, ``(2 r, r)``."""
+        eye = np.eye(len(self.matrix))
+        return np.concatenate([eye, -eye])
+
+    def left(self, value: Array, spread: Array) -> Array:
+        """``c - ‖P z + q‖ - ‖|P| spread‖``, and by components, ``(..., 1 + 2 r)``."""
+        seen = value @ self.matrix.T + self.offset
+        used = euclidean_norm(spread @ np.abs(self.matrix).T)[..., None]
+        along = seen @ self._components.T
+        norms = np.concatenate([euclidean_norm(seen)[..., None], along], axis=-1)
+        return self.bound - norms - used
+
+    def left_slopes(self, value: Array, spread: Array) -> tuple[Array, Array]:
+        """Derivatives of `left` by value and spread, ``(..., 1 + 2 r, m)`` each."""
+        seen = value @ self.matrix.T + self.offset
+        steepest = (seen / euclidean_norm(seen)[..., None])[..., None, :]
+        along = np.broadcast_to(
+            self._components, (*seen.shape[:-1], *self._components.shape)
+        )
+        by_value = np.concatenate([steepest, along], axis=-2) @ self.matrix
+        matrix = np.abs(self.matrix)
+        wide = spread @ matrix.T
+        by_spread = (wide / euclidean_norm(wide)[..., None]) @ matrix
+        return -by_value, -np.broadcast_to(by_spread[..., None, :], by_value.shape)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class DerivativeNorm(ConvexLimit):
+    """``‖P y^(k) + q‖ <= c``.
+
+    Attributes:
+        of: k.
+        norm: P, q and c.
+    """
+
+    of: int
+    norm: Norm
+
+    @property
+    def derivative(self) -> int:
+        """See base class."""
+        return self.of
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """See base class."""
+        return f"{DERIVATIVES[self.of]}_norm"
+
+    @property
+    def size(self) -> float:
+        """See base class."""
+        return self.norm.bound
+
+    def unit(self, law: SlidingLaw) -> str:
+        """See base class."""
+        return ("m", "m/s")[self.of] if self.of < 2 else f"m/s^{self.of}"
+
+    def left(self, value: Array, spread: Array) -> Array:
+        """See base class."""
+        return self.norm.left(value, spread)
+
+    def left_slopes(self, value: Array, spread: Array) -> tuple[Array, Array]:
+        """See base class."""
+        return self.norm.left_slopes(value, spread)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class InputNorm(SampledLimit):
+    """``‖P u + q‖ <= c``.
+
+    Attributes:
+        norm: P, q and c.
+    """
+
+    norm: Norm
+
+    name: ClassVar[str] = "input_norm"
+    scale: ClassVar[float] = 8.0
+
+    @property
+    def size(self) -> float:
+        """See base class."""
+        return self.norm.bound
+
+    def unit(self, law: SlidingLaw) -> str:
+        """See base class."""
+        return f"m/s^{law.order}"
+
+    def margins(self, law: SlidingLaw, at: Instant) -> Array:
+        """See base class."""
+        return self.norm.left(*input_range(law, at))
+
+    def proven(self, enclosure: Enclosure) -> Array:
+        """See base class; concave in y*^(n), which is linear: least at an end."""
+        return self.margins(enclosure.law, enclosure.instant).min(axis=0)
+
+    def slopes(
+        self, law: SlidingLaw, at: Instant, secant: float, facets: Facets
+    ) -> Slopes:
+        """See base class."""
+        inputs = InputSlopes(law, at, secant)
+        return inputs.of_rows(*self.norm.left_slopes(inputs.nominal, inputs.spread))
+
+    def flown(self, state: Array, control: Array) -> Array:
+        """See base class."""
+        return self.norm.left(control, np.zeros_like(control))
+
+
+@dataclasses.dataclass
+class NormLimit(Part):
+    """``‖matrix z + offset‖ <= bound``, as a scenario has it.
+
+    Attributes:
+        of: z: ``position``, ``velocity``, ``acceleration``, ``jerk`` (up to the
+            model's order) or ``input``.
+        bound: c, in the unit of the norm.
+        matrix: P, a list of rows; the identity if left out.
+        offset: q; zero if left out.
+    """
+
+    of: str
+    bound: float
+    matrix: list[list[float]] | None = None
+    offset: list[float] | None = None
+
+    def limit(self, num_outputs: int) -> DerivativeNorm | InputNorm:
+        """What a planner keeps."""
+        matrix = np.eye(num_outputs) if self.matrix is None else np.array(self.matrix)
+        offset = np.zeros(len(matrix))
+        if self.offset is not None:
+            offset += self.offset
+        norm = Norm(matrix, offset, self.bound)
+        if self.of == "input":
+            return InputNorm(norm)
+        return DerivativeNorm(DERIVATIVES.index(self.of), norm)
+
+    def check(self, path: str, setting: Setting) -> None:
+        """See base class."""
+        words = [*DERIVATIVES[: setting.order + 1], "input"]
+        ok = self.of in words
+        require(f"{path}.of", self.of, ok, "one of " + ", ".join(words))
+        require_positive(f"{path}.bound", self.bound, "")
+        rows = setting.num_outputs
+        if self.matrix is not None:
+            rows = len(self.matrix)
+            require(f"{path}.matrix", self.matrix, rows > 0, "of one row at least")
+            for i, row in enumerate(self.matrix):
+                require_length(f"{path}.matrix[{i}]", row, setting.num_outputs)
+                for j, value in enumerate(row):
+                    require_magnitude(f"{path}.matrix[{i}][{j}]", value, "")
+        if self.offset is not None:
+            allowed = f"{rows} numbers, one for each row of the matrix"
+            require(f"{path}.offset", self.offset, len(self.offset) == rows, allowed)
+            for i, value in enumerate(self.offset):
+                require_magnitude(f"{path}.offset[{i}]", value, "")

@@ -1,0 +1,37 @@
+"""Floors, ceilings and fences: limits of the position along every axis."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import ClassVar
+
+from dtmpc_drake.checks import Setting
+from dtmpc_drake.limits.base import LinearLimit
+from dtmpc_drake.limits.sides import Sides
+from dtmpc_drake.method.sliding import SlidingLaw
+
+
+@dataclasses.dataclass
+class PositionLimit(Sides, LinearLimit):
+    """``min <= y <= max`` along every axis, tube included.
+
+    Attributes:
+        min: in m, one an axis; null where there is none.
+        max: the same.
+    """
+
+    name: ClassVar[str] = "position"
+    derivative: ClassVar[int] = 0
+    size: ClassVar[float] = 2.5
+
+    def unit(self, law: SlidingLaw) -> str:
+        """See base class."""
+        return "m"
+
+    def where(self, column: int) -> str:
+        """See base class."""
+        return self.side(column, "axis")
+
+    def check(self, path: str, setting: Setting) -> None:
+        """See base class."""
+        self.check_sides(path, setting.num_outputs, "m")

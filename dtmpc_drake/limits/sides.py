@@ -1,0 +1,76 @@
+"""A least and a largest value of each of several numbers."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from dtmpc_drake.checks import require_magnitude
+from dtmpc_drake.errors import require
+from dtmpc_drake.numerics.arrays import Array
+
+
+@dataclasses.dataclass
+class Sides:
+    """``min <= z <= max`` as rows ``a'z <= b``.
+
+    Attributes:
+        min: one for each number; null where there is none.
+        max: the same.
+    """
+
+    min: list[float | None] | None = None
+    max: list[float | None] | None = None
+
+    def _both(self) -> Array:
+        """Infinite where there is none, ``(m, 2)``."""
+        count = len(self.min or self.max or ())
+        both = np.full((count, 2), [-np.inf, np.inf])
+        for column, side in enumerate((self.min, self.max)):
+            for i, bound in enumerate(side or ()):
+                if bound is not None:
+                    both[i, column] = bound
+        return both
+
+    def normals(self, count: int) -> Array:
+        """The rows a, one for every bound that there is, ``(q, count)``."""
+        eye = np.eye(count)
+        return np.stack([-eye, eye], axis=1)[np.isfinite(self._both())]
+
+    @property
+    def bounds(self) -> Array:
+        """The bounds b, ``(q,)``."""
+        both = self._both() * [-1.0, 1.0]
+        return both[np.isfinite(both)]
+
+    def side(self, row: int, what: str) -> str:
+        """What a row is about, ``min of axis 2``."""
+        i, column = np.argwhere(np.isfinite(self._both()))[row]
+        return f"{'min' if column == 0 else 'max'} of {what} {i}"
+
+    def check_sides(self, path: str, count: int, unit: str) -> None:
+        """Refuses bounds that make no sense.
+
+        Args:
+            path: of this section, for errors.
+            count: of the numbers that are bounded.
+            unit: of them.
+        """
+        for name in ("min", "max"):
+            side = getattr(self, name)
+            if side is None:
+                continue
+            field = f"{path}.{name}"
+            allowed = f"{count} numbers, one each, null where there is no bound"
+            require(field, side, len(side) == count, allowed)
+            for i, bound in enumerate(side):
+                if bound is not None:
+                    require_magnitude(f"{field}[{i}]", bound, unit)
+        both = self._both()
+        given = bool(np.isfinite(both).any())
+        require(path, None, given, "left out, or given a min or a max that is no null")
+        for i in np.flatnonzero(both[:, 0] >= both[:, 1]):
+            low, high = both[i]
+            allowed = f"greater than {path}.min[{i}] = {low:g} {unit}"
+            require(f"{path}.max[{i}]", high, False, allowed)
