@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import logging
 import os
 import signal
 import subprocess
@@ -625,6 +626,15 @@ def test_a_scheduler_without_workers_is_not_waited_for(
         pytest.raises(ScenarioError, match="a scheduler with workers: none came"),
     ):
         spread(abs, [1, 2], scheduler=empty.scheduler_address)
+
+
+def loudest_silence(item: int) -> int:
+    """What a worker's own logger lets through."""
+    return logging.getLogger("distributed.worker").getEffectiveLevel()
+
+
+def test_workers_of_this_machine_do_not_talk_while_they_close() -> None:
+    assert spread(loudest_silence, [1, 2]) == [logging.CRITICAL] * 2
 
 
 # The command line.
