@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import logging
 import os
 import signal
 import subprocess
@@ -625,6 +626,15 @@ def test_a_scheduler_without_workers_is_not_waited_for(
         pytest.raises(ScenarioError, match="a scheduler with workers: none came"),
     ):
         spread(abs, [1, 2], scheduler=empty.scheduler_address)
+
+
+def what_is_heard(item: int) -> int:
+    """The least level that a worker writes to its terminal."""
+    return min(each.level for each in logging.getLogger("distributed").handlers)
+
+
+def test_workers_of_this_machine_do_not_talk_while_they_close() -> None:
+    assert spread(what_is_heard, [1, 2]) == [logging.CRITICAL] * 2
 
 
 # The command line.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
@@ -116,6 +117,9 @@ def _connected(scheduler: str | None, *, tasks: int) -> Iterator[Any]:
                 n_workers=min(tasks, os.cpu_count() or 1),
                 threads_per_worker=1,
                 dashboard_address="127.0.0.1:0",  # any free port; nobody looks
+                # A task that fails raises here; what else workers say, such as that
+                # the scheduler is gone when all is done, is nobody's business.
+                silence_logs=logging.CRITICAL,
             )
             client = Client(stack.enter_context(cluster))
         yield stack.enter_context(client)
