@@ -104,7 +104,9 @@ def test_a_limit_of_ones_own_is_proven_for_all_times(
     # It binds, and whoever asks for more than is kept is refused by its name.
     stricter = dataclasses.replace(limit, bound=limit.bound - dense - 0.01)
     problem = Problem.from_scenario(harbour)
-    wrong = certify(planned.plan, dataclasses.replace(problem, own_limits=(stricter,)))
+    wrong = certify(
+        planned.plan, dataclasses.replace(problem, other_limits=(stricter,))
+    )
     assert not wrong.certified and wrong.broken == ("power",)
     free = dataclasses.replace(harbour, limits=Limits(input=8.0, speed=2.5))
     assert plan(free).cost < planned.cost - 1e-3
@@ -126,7 +128,7 @@ def test_no_adversary_breaks_a_limit_of_ones_own(
     )
     strict = dataclasses.replace(pushed, limits=limits)
     (broken,) = Simulate(strict, plan=planned.plan).breaches(strict)
-    assert broken.what == "own_limits" and "the power limit was broken" in str(broken)
+    assert broken.what == "other_limits" and "the power limit was broken" in str(broken)
 
 
 def test_a_cost_of_ones_own_is_charged(

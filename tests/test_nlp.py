@@ -198,9 +198,9 @@ def test_both_backends_look_at_the_speed_in_parts_of_its_limit():
     for each in (problem, fast):
         tr = Transcription(each, 16)
         iterate = tr.evaluate(*straight_line(tr))
-        room = np.linspace(0, each.speed.bound, iterate.linear[0].size)
-        margin = room.reshape(iterate.linear[0].shape)
-        (near,) = tr.near_linear(dataclasses.replace(iterate, linear=[margin]))
+        room = np.linspace(0, each.speed.bound, iterate.convex[0].size)
+        margin = room.reshape(iterate.convex[0].shape)
+        (near,) = tr.near_convex(dataclasses.replace(iterate, convex=[margin]))
         allowed = margin[near].max() / each.speed.bound
         assert 0.2 < allowed < 0.3
         assert not near[1:, 0].any() and near[0, 0].any()

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from dtmpc_drake.costs import Cost
-from dtmpc_drake.limits import SampledLimit
+from dtmpc_drake.limits import InputRange, SampledLimit
 from dtmpc_drake.limits.base import Facets
+from dtmpc_drake.limits.norms import InputNorm, Norm
 from dtmpc_drake.numerics.arrays import Array, jacobian
 from dtmpc_drake.numerics.differences import differences
 from dtmpc_drake.planning.iterate import Local
@@ -50,7 +51,12 @@ def test_slopes_at_one_instant_are_those_of_margins_and_residuals(model):
         np.testing.assert_allclose(general[0], by_state, **close)
         np.testing.assert_allclose(general[1], by_highest, **close)
     none = Facets(np.zeros(0, dtype=int), np.zeros((0, m)))
-    for limit in problem.sampled:
+    rng = np.random.default_rng(3)
+    ranged = InputRange(
+        min=[None] * (m - 1) + [-1.0], max=rng.uniform(1, 2, m).tolist()
+    )
+    norm = InputNorm(Norm(rng.normal(size=(2, m)), rng.normal(size=2), 3.0))
+    for limit in (*problem.sampled, ranged, norm):
         exact = of(lambda at, each=limit: each.margins(law, at.instant))
         for kind in (type(limit), SampledLimit):  # its own, and those by differences
             slopes = kind.slopes(limit, law, at, 1e-5, none)

@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.tightening import (
     Instant,
+    deviation_bound,
     feedback_bound,
     input_bound,
-    rate_bound,
+    input_range,
 )
 from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain, Model
 from dtmpc_drake.numerics.arrays import Array
@@ -23,10 +24,10 @@ from tests.models_for_tests import FractionOfBound, PlanarOnSlope, every_model, 
 
 @dataclasses.dataclass
 class CalmAway(FractionOfBound):
-    """n = 2, m = 1, whose error is largest at the origin: Δ = 2 / (1 + y²)."""
+    """m = 1, whose error is largest at the origin: Δ = 2 / (1 + y²)."""
 
+    order: int = 2
     num_outputs = 1
-    order = 2
 
     def drift(self, x: Array) -> Array:
         """See base class."""
@@ -51,7 +52,9 @@ class CalmAway(FractionOfBound):
         return self.model_error_bound(np.abs(x) + radius)
 
 
-models = pytest.mark.parametrize("model", [*every_model(), CalmAway()], ids=name_of)
+models = pytest.mark.parametrize(
+    "model", [*every_model(), CalmAway(), CalmAway(order=1)], ids=name_of
+)
 
 
 @dataclasses.dataclass
@@ -141,23 +144,28 @@ def test_how_the_input_matrix_changes_over_the_tube_matters(
 
 @models
 @given(seed=seeds)
-def test_the_rate_bound_tightens_the_speed_limit_by_enough(
-    model: Model, seed: int
-) -> None:
+def test_the_highest_derivative_stays_within_its_bound(model: Model, seed: int) -> None:
+    """It is what the input and all that is unknown make of it."""
     case = Situation.draw(model, seed)
     rng = np.random.default_rng(seed)
-    found = rate_bound(case.law, case.at)
-    if model.order > 1:
-        assert (found == case.at.error_bound[1]).all()
-        return
-    # For n = 1 the speed is what the input and all that is unknown make of it.
-    # The drift is cancelled, so it is f̃ + d - K sat(s / Φ) for any saturation.
-    known = model.model_error_bound(case.at.state)
+    n, at = model.order, case.at
+    for k in range(n):
+        assert (deviation_bound(case.law, at, k) == at.error_bound[k]).all()
+    bound = deviation_bound(case.law, at, n)
+    effect = np.einsum("bij,bj->bi", model.input_matrix(case.states), case.inputs)
     here = model.model_error_bound(case.states)
-    gain = case.at.gain + here - known
-    f, d, sat = rng.choice([-1.0, 1.0], (3, 20, *here.shape))
-    speeds = f * here + d * case.law.disturbance_bound - gain * sat
-    assert (np.abs(speeds) <= found + 1e-9).all()
+    f, d = rng.choice([-1.0, 1.0], (2, 20, *here.shape))
+    highest = model.drift(case.states) + effect + f * here
+    highest = highest + d * case.law.disturbance_bound
+    assert (np.abs(highest - at.highest) <= bound + 1e-9).all()
+
+
+@models
+@given(seed=seeds)
+def test_no_input_in_the_tube_is_out_of_its_range(model: Model, seed: int) -> None:
+    case = Situation.draw(model, seed)
+    middle, spread = input_range(case.law, case.at)
+    assert (np.abs(case.inputs - middle) <= spread + 1e-9).all()
 
 
 def test_the_feedback_bound_of_the_paper_by_hand() -> None:

@@ -1,14 +1,13 @@
 """Limits of a norm ``‖P z + q‖ <= c`` (assumption 5, corollaries 1 and 2).
 
-z is the output, one of its derivatives, or the input.  Each norm stands in a row of its
-own, and each component of ``P z + q``, which is no larger, in two more: near zero a norm
-has no slope to go by, but they have.
+z is the output, one of its derivatives, or the input.  Each norm is a row of its own,
+and each component of ``P z + q``, which is no larger, two more: near zero a norm has no
+slope to go by, but they have.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -37,38 +36,39 @@ class Norm:
     """``‖P z + q‖ <= c`` for a z that is known up to some distance.
 
     Attributes:
-        matrix: P, ``(r, m)``.
-        offset: q, ``(r,)``.
+        matrix: P, ``(r, m)``; the identity if None.
+        offset: q, ``(r,)``; zero if None.
         bound: c.
     """
 
-    matrix: Array
-    offset: Array
+    matrix: Array | None
+    offset: Array | None
     bound: float
 
-    @cached_property
-    def _components(self) -> Array:
-        """Unit vectors both ways along every component, ``(2 r, r)``."""
-        eye = np.eye(len(self.matrix))
-        return np.concatenate([eye, -eye])
+    def _parts(self, m: int) -> tuple[Array, Array, Array]:
+        """P, q, and unit vectors both ways along every component, ``(2 r, r)``."""
+        matrix = np.eye(m) if self.matrix is None else self.matrix
+        offset = np.zeros(len(matrix)) if self.offset is None else self.offset
+        eye = np.eye(len(matrix))
+        return matrix, offset, np.concatenate([eye, -eye])
 
     def left(self, value: Array, spread: Array) -> Array:
         """``c - ‖P z + q‖ - ‖|P| spread‖``, and by components, ``(..., 1 + 2 r)``."""
-        seen = value @ self.matrix.T + self.offset
-        used = euclidean_norm(spread @ np.abs(self.matrix).T)[..., None]
-        along = seen @ self._components.T
+        matrix, offset, components = self._parts(value.shape[-1])
+        seen = value @ matrix.T + offset
+        used = euclidean_norm(spread @ np.abs(matrix).T)[..., None]
+        along = seen @ components.T
         norms = np.concatenate([euclidean_norm(seen)[..., None], along], axis=-1)
         return self.bound - norms - used
 
     def left_slopes(self, value: Array, spread: Array) -> tuple[Array, Array]:
         """Derivatives of `left` by value and spread, ``(..., 1 + 2 r, m)`` each."""
-        seen = value @ self.matrix.T + self.offset
+        matrix, offset, components = self._parts(value.shape[-1])
+        seen = value @ matrix.T + offset
         steepest = (seen / euclidean_norm(seen)[..., None])[..., None, :]
-        along = np.broadcast_to(
-            self._components, (*seen.shape[:-1], *self._components.shape)
-        )
-        by_value = np.concatenate([steepest, along], axis=-2) @ self.matrix
-        matrix = np.abs(self.matrix)
+        along = np.broadcast_to(components, (*seen.shape[:-1], *components.shape))
+        by_value = np.concatenate([steepest, along], axis=-2) @ matrix
+        matrix = np.abs(matrix)
         wide = spread @ matrix.T
         by_spread = (wide / euclidean_norm(wide)[..., None]) @ matrix
         return -by_value, -np.broadcast_to(by_spread[..., None, :], by_value.shape)
@@ -173,12 +173,12 @@ class NormLimit(Part):
     matrix: list[list[float]] | None = None
     offset: list[float] | None = None
 
-    def limit(self, num_outputs: int) -> DerivativeNorm | InputNorm:
+    def limit(self) -> DerivativeNorm | InputNorm:
         """What a planner keeps."""
-        matrix = np.eye(num_outputs) if self.matrix is None else np.array(self.matrix)
-        offset = np.zeros(len(matrix))
-        if self.offset is not None:
-            offset += self.offset
+        matrix, offset = (
+            None if given is None else np.array(given, dtype=float)
+            for given in (self.matrix, self.offset)
+        )
         norm = Norm(matrix, offset, self.bound)
         if self.of == "input":
             return InputNorm(norm)

@@ -70,7 +70,6 @@ class Sides:
         both = self._both()
         given = bool(np.isfinite(both).any())
         require(path, None, given, "left out, or given a min or a max that is no null")
-        for i in np.flatnonzero(both[:, 0] >= both[:, 1]):
-            low, high = both[i]
+        for i, (low, high) in enumerate(both):
             allowed = f"greater than {path}.min[{i}] = {low:g} {unit}"
-            require(f"{path}.max[{i}]", high, False, allowed)
+            require(f"{path}.max[{i}]", high, low < high, allowed)

@@ -97,8 +97,10 @@ class Iterate:
         planes: that part the pieces from the obstacles within reach.
         sampled: margins of each of `Problem.sampled` at the nodes of the fine grid,
             ``(M + 1, q)``.
-        linear: margins of each of `Problem.linear` at the control points of its
+        convex: margins of each of `Problem.convex` at the control points of its
             derivative, ``(N, c, q)``.
+        convex_points: for each the control points, and those of what bounds the
+            deviation from above, ``(N, c, m)`` each.
         cost: of the plan.
     """
 
@@ -111,7 +113,8 @@ class Iterate:
     tube_controls: Array
     planes: Halfplanes
     sampled: Sequence[Array]
-    linear: Sequence[Array]
+    convex: Sequence[Array]
+    convex_points: Sequence[tuple[Array, Array]]
     cost: float
 
     @property

@@ -10,10 +10,10 @@ import numpy as np
 from dtmpc_drake.costs import BandwidthCost, Cost, InputCost
 from dtmpc_drake.limits import (
     BandwidthLimit,
+    ConvexLimit,
     CoverLimit,
     InputLimit,
     Limit,
-    LinearLimit,
     ObstacleLimit,
     SampledLimit,
     SpeedLimit,
@@ -36,7 +36,7 @@ class Problem:
         tube_margin: ``norm`` or ``support``, see `ObstacleSet.clearance`.
         input: the limit of the input's norm.
         speed: the limit of the speed along every axis.
-        own_limits: any others.
+        other_limits: any others.
         bandwidth: the range of the bandwidth, and the limit of its rate.
         costs: of the reference.
         bandwidth_cost: of the bandwidth.
@@ -62,7 +62,7 @@ class Problem:
     goal: Array
     tube_start: TubeStart
     velocity_bound: VelocityBound
-    own_limits: tuple[Limit, ...] = ()
+    other_limits: tuple[Limit, ...] = ()
     start_highest: Array | None = None
     start_bandwidth: Array | None = None
 
@@ -90,7 +90,7 @@ class Problem:
             tube_margin=scenario.planner.tube_margin,
             input=InputLimit(scenario.limits.input),
             speed=SpeedLimit(scenario.limits.speed),
-            own_limits=tuple(scenario.limits.own),
+            other_limits=scenario.limits.others,
             bandwidth=BandwidthLimit(low, high, bandwidth.rate_max),
             costs=(InputCost(scenario.cost.input), *scenario.cost.own),
             bandwidth_cost=BandwidthCost(scenario.cost.bandwidth, bandwidth.min),
@@ -114,7 +114,7 @@ class Problem:
     @cached_property
     def limits(self) -> tuple[Limit, ...]:
         """All that a plan must keep, but the bandwidth's."""
-        limits: list[Limit] = [self.speed, self.input, *self.own_limits]
+        limits: list[Limit] = [self.speed, self.input, *self.other_limits]
         if len(self.obstacles):
             limits.insert(0, ObstacleLimit(self.obstacles, self.tube_margin))
         if isinstance(self.model, ConstantUncertainty) and self.model.covers:
@@ -127,6 +127,6 @@ class Problem:
         return tuple(limit for limit in self.limits if isinstance(limit, SampledLimit))
 
     @cached_property
-    def linear(self) -> tuple[LinearLimit, ...]:
-        """The limits that are linear in a derivative of the reference."""
-        return tuple(limit for limit in self.limits if isinstance(limit, LinearLimit))
+    def convex(self) -> tuple[ConvexLimit, ...]:
+        """The limits that are convex in a derivative of the output."""
+        return tuple(limit for limit in self.limits if isinstance(limit, ConvexLimit))

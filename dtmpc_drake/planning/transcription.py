@@ -16,7 +16,7 @@ from math import ceil, log2
 
 import numpy as np
 
-from dtmpc_drake.limits import LinearLimit
+from dtmpc_drake.limits import ConvexLimit
 from dtmpc_drake.method.layer import layer_pieces
 from dtmpc_drake.method.tightening import Instant, deviation_bound
 from dtmpc_drake.method.tube import Tube, cascade_bound, filter_rates, propagate
@@ -65,7 +65,7 @@ class Transcription:
         self.order, self.outputs = law.order, law.num_outputs
         self.intervals = intervals
         self.step = problem.duration / intervals
-        far = options.obstacle_reach_of_a_step * problem.speed.bound * self.step
+        far = options.obstacle_reach_of_a_step * problem.speed.size * self.step
         self.obstacle_reach = reach * max(options.obstacle_reach, far)
         self.degree = self.order + 1
         self.control_degree = max(self.degree, 3)
@@ -111,11 +111,11 @@ class Transcription:
         return Ends(self.problem, self.intervals)
 
     @cached_property
-    def linear_bases(self) -> tuple[Array, ...]:
-        """From coefficients to the control points of each of `Problem.linear`."""
+    def convex_bases(self) -> tuple[Array, ...]:
+        """From coefficients to the control points of each of `Problem.convex`."""
         return tuple(
             splines.control_basis(self.degree, limit.derivative, self.step)
-            for limit in self.problem.linear
+            for limit in self.problem.convex
         )
 
     # Decisions to iterate.
@@ -155,6 +155,10 @@ class Transcription:
         local = self._local(reference, tube, bandwidth, at_knots)
         controls = self.position_basis @ windows
         tube_controls = self._tube_controls(tube)
+        points = [
+            (basis @ windows, self._deviation_controls(limit, at_nodes, len(basis)))
+            for limit, basis in zip(p.convex, self.convex_bases, strict=True)
+        ]
         reserve = self.options.sampled_reserve
         return Iterate(
             coefficients=coefficients,
@@ -176,24 +180,27 @@ class Transcription:
                 limit.margins(p.law, at_nodes) - reserve * limit.size
                 for limit in p.sampled
             ],
-            linear=[
-                self._linear_margins(limit, basis @ windows, at_nodes)
-                for limit, basis in zip(p.linear, self.linear_bases, strict=True)
+            convex=[
+                self._convex_margins(limit, *own)
+                for limit, own in zip(p.convex, points, strict=True)
             ],
+            convex_points=points,
             cost=self._cost(local, bandwidth),
         )
 
-    def _linear_margins(
-        self, limit: LinearLimit, controls: Array, at_nodes: Instant
+    def _deviation_controls(
+        self, limit: ConvexLimit, at_nodes: Instant, count: int
     ) -> Array:
-        """At control points of the limited derivative, ``(N, c, q)``."""
+        """Control points of what bounds a deviation from above, ``(N, count, m)``."""
         used = deviation_bound(self.problem.law, at_nodes, limit.derivative)
-        # Where the knots under-represent a piece, take off the difference.
-        wide = self._chord(used[:: self.tube_steps], controls.shape[1] - 1)
-        wide = wide + self._bulge(used)[:, None]
-        normals = limit.normals(self.outputs)
-        bounds = limit.bounds - self.options.linear_reserve * limit.size
-        margin = bounds - controls @ normals.T - wide @ np.abs(normals).T
+        # Where the knots under-represent a piece, add the difference.
+        chord = self._chord(used[:: self.tube_steps], count - 1)
+        return chord + self._bulge(used)[:, None]
+
+    def _convex_margins(self, limit: ConvexLimit, value: Array, spread: Array) -> Array:
+        """At control points of the limited derivative, ``(N, c, q)``."""
+        reserve = self.options.convex_reserve * limit.size
+        margin = limit.left(value, spread) - reserve
         # Neighbouring pieces share a control point, and so their margin there.
         shared = np.minimum(margin[1:, 0], margin[:-1, -1])
         margin[1:, 0] = margin[:-1, -1] = shared
@@ -293,7 +300,7 @@ class Transcription:
         Measured from the backed-off limits: at most `backoff` is feasible.
         """
         p, backoff = self.problem, self.options.backoff
-        margins = [margin.min() for margin in iterate.linear]
+        margins = [margin.min() for margin in iterate.convex]
         for limit, margin in zip(p.sampled, iterate.sampled, strict=True):
             margins.append(margin.min() / limit.scale)
         margins.append(iterate.planes.margin.min(initial=np.inf))
@@ -302,11 +309,11 @@ class Transcription:
             np.nan_to_num(np.maximum(0.0, backoff - np.min(margins)), nan=np.inf)
         )
 
-    def near_linear(self, iterate: Iterate) -> list[Array]:
-        """Which control points of `Iterate.linear` enter the programs."""
+    def near_convex(self, iterate: Iterate) -> list[Array]:
+        """Which control points of `Iterate.convex` enter the programs."""
         found = []
-        for limit, margin in zip(self.problem.linear, iterate.linear, strict=True):
-            near = margin < self.reach * self.options.linear_reach * limit.size
+        for limit, margin in zip(self.problem.convex, iterate.convex, strict=True):
+            near = margin < self.reach * self.options.convex_reach * limit.size
             near[1:, 0] = False  # the last control point of the piece before
             found.append(np.asarray(near))
         return found
@@ -327,10 +334,11 @@ class Transcription:
             time = knots[planes.piece[row]] + self.step * point / self.control_degree
             obstacle = p.obstacles.index[planes.obstacle[row]]
             note(float(planes.margin.min()), "m", f"obstacle {obstacle}", float(time))
-        for linear, margin in zip(p.linear, iterate.linear, strict=True):
+        for convex, margin in zip(p.convex, iterate.convex, strict=True):
             piece, _, column = np.unravel_index(margin.argmin(), margin.shape)
-            title = f"{linear.title} on {linear.where(int(column))}"
-            note(float(margin.min()), linear.unit(law), title, float(knots[piece]))
+            where = convex.where(int(column))
+            title = f"{convex.title} on {where}" if where else convex.title
+            note(float(margin.min()), convex.unit(law), title, float(knots[piece]))
         for sampled, margin in zip(p.sampled, iterate.sampled, strict=True):
             node, column = np.unravel_index(margin.argmin(), margin.shape)
             where = sampled.where(int(column))

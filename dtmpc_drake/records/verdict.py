@@ -29,13 +29,16 @@ QUANTITIES = (
     "obstacles",
     "input",
     "speed",
-    "own_limits",
+    "other_limits",
 )
 """Whether anything is no number (0 or 1), |s|/Φ, |ỹ|/Ω and |dỹ/dt|/W of the worst axis,
 how deep the plant is inside the nearest obstacle (m), ‖u‖, the largest speed along an
-axis (m/s), and what is missing of the limits in `Limits.own`.  Of those that break at
+axis (m/s; plus what the axis' own limit is below the largest one), and what is missing
+of `Limits.others`.  Of those that break at
 the same instant the first one here is named."""
-FINITE, LAYER, POSITION, VELOCITY, OBSTACLES, INPUT, SPEED, OWN = range(len(QUANTITIES))
+FINITE, LAYER, POSITION, VELOCITY, OBSTACLES, INPUT, SPEED, OTHERS = range(
+    len(QUANTITIES)
+)
 
 COLUMNS = ("worst", "worst_time", "worst_where", "first", "since", "first_where")
 """What a record has of each quantity: its largest value, when that was (s) and where
@@ -51,7 +54,7 @@ def largest_kept(limits: Limits) -> Array:
     """The largest value of every quantity that keeps its limit, ``(8,)``."""
     # To touch an obstacle is to hit it.
     apart = np.nextafter(0.0, -1.0)
-    return np.array([0.0, 1.0, 1.0, 1.0, apart, limits.input, limits.speed, 0.0])
+    return np.array([0.0, 1.0, 1.0, 1.0, apart, limits.input, limits.fastest, 0.0])
 
 
 def empty_record(lead: tuple[int, ...] = ()) -> Array:
@@ -211,11 +214,15 @@ def _breach(
     if what == "not_finite":
         message = f"the flight is not finite from t = {since:.3f} s on"
         return Breach(what, since, "", np.inf, message)
-    if what == "own_limits":
-        title = limits.own[int(column[FIRST_WHERE])].title
+    if what == "other_limits":
+        title = limits.others[int(column[FIRST_WHERE])].title
         message = f"the {title} was broken at t = {since:.3f} s: {first:.5g} too much"
         return Breach(what, since, title, worst, message)
     words, symbol, place = _WORDS[what]
+    if what == "speed":
+        # Axes with lower limits are watched as if theirs were the largest.
+        slower = largest - limits.speed_along(int(column[FIRST_WHERE]))
+        largest, first, worst = (x - slower for x in (largest, first, worst))
     highest = " m/s" if order == 1 else f" m/s^{order}"
     unit = {"obstacles": " m", "speed": " m/s", "input": highest}.get(what, "")
     where = f"{place} {int(column[FIRST_WHERE])}" if place else ""

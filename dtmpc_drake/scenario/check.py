@@ -13,6 +13,7 @@ from numbers import Integral
 import numpy as np
 
 from dtmpc_drake.checks import (
+    Part,
     Setting,
     require_length,
     require_magnitude,
@@ -20,6 +21,7 @@ from dtmpc_drake.checks import (
     require_positive,
 )
 from dtmpc_drake.errors import ScenarioError, require, show
+from dtmpc_drake.limits import ConvexLimit
 from dtmpc_drake.method.sliding import sliding_variable
 from dtmpc_drake.method.stability import ROOM, longest_stable_step
 from dtmpc_drake.method.stopping import range_needed
@@ -67,6 +69,7 @@ def validate_values(scenario: Scenario) -> None:
     _check_plant(scenario)
     _check_motion(scenario)
     _check_clearance(scenario)
+    _check_limits_at_ends(scenario)
     _check_sensing(scenario)
 
 
@@ -95,6 +98,8 @@ def _check_sizes(scenario: Scenario) -> None:
         k = list(DERIVATIVES).index(field.split(".")[1])
         require(field, row, k < n, f"left out: the model is of order {n}")
     require_length("controller.slope", scenario.controller.slope, m)
+    if isinstance(scenario.limits.speed, list):
+        require_length("limits.speed", scenario.limits.speed, m)
     for field, row in rows.items():
         require_length(field, row, m)
 
@@ -106,7 +111,6 @@ def _check_ranges(scenario: Scenario) -> None:
     positive = {
         "duration": (scenario.duration, "s"),
         "limits.input": (scenario.limits.input, "m/s²"),
-        "limits.speed": (scenario.limits.speed, "m/s"),
         "controller.reaching_rate": (c.reaching_rate, "m/s²"),
         "controller.initial_boundary_layer": (c.initial_boundary_layer, "m/s"),
         "controller.bandwidth.min": (b.min, "rad/s"),
@@ -119,6 +123,10 @@ def _check_ranges(scenario: Scenario) -> None:
     }
     if sensing.range is not None:
         positive["sensing.range"] = (sensing.range, "m")
+    speed = scenario.limits.speed
+    for i, bound in enumerate(speed if isinstance(speed, list) else [speed]):
+        field = f"limits.speed[{i}]" if isinstance(speed, list) else "limits.speed"
+        positive[field] = (bound, "m/s")
     for i, slope in enumerate(c.slope):
         positive[f"controller.slope[{i}]"] = (slope, "1/s")
     for field, (value, unit) in positive.items():
@@ -175,8 +183,8 @@ def _check_parts(scenario: Scenario) -> None:
     scenario.disturbance.check("disturbance", setting)
     for i, obstacle in enumerate(scenario.obstacles):
         obstacle.check(f"obstacles[{i}]", setting)
-    for i, limit in enumerate(scenario.limits.own):
-        limit.check(f"limits.own[{i}]", setting)
+    for path, part in _limits_by_path(scenario).items():
+        part.check(path, setting)
     for i, cost in enumerate(scenario.cost.own):
         cost.check(f"cost.own[{i}]", setting)
 
@@ -223,16 +231,18 @@ def _check_plant(scenario: Scenario) -> None:
 def _check_motion(scenario: Scenario) -> None:
     """Speeds, time and initial error."""
     start, goal = scenario.start_state(), scenario.goal_state()
-    speed, duration = scenario.limits.speed, scenario.duration
+    duration = scenario.duration
+    speed = np.array([scenario.limits.speed_along(i) for i in range(start.shape[1])])
+    given = show(scenario.limits.speed)
     if scenario.model.order > 1:
         for end, state in (("start", start), ("goal", goal)):
             require(
                 f"{end}.velocity",
                 state[1],
                 bool((np.abs(state[1]) <= speed).all()),
-                f"at most limits.speed = {speed:g} m/s along every axis",
+                f"at most limits.speed = {given} m/s along every axis",
             )
-    shortest = float(np.abs(goal[0] - start[0]).max()) / speed
+    shortest = float((np.abs(goal[0] - start[0]) / speed).max())
     require(
         "duration",
         duration,
@@ -266,6 +276,43 @@ def _check_clearance(scenario: Scenario) -> None:
                 position,
                 f"outside obstacles[{i}], tube included: it is"
                 f" {-clearance[i]:.3g} m too close (tube {show(tube.round(3))} m)",
+            )
+
+
+def _limits_by_path(scenario: Scenario) -> dict[str, Part]:
+    """What stands in a scenario for each of `Limits.others`, in their order."""
+    limits, parts = scenario.limits, dict[str, Part]()
+    for name in ("position", "inputs"):
+        if (limit := getattr(limits, name)) is not None:
+            parts[f"limits.{name}"] = limit
+    parts |= {f"limits.norms[{i}]": norm for i, norm in enumerate(limits.norms)}
+    return parts | {f"limits.own[{i}]": own for i, own in enumerate(limits.own)}
+
+
+def _check_limits_at_ends(scenario: Scenario) -> None:
+    """Limits of the states at both ends, with the smallest tubes that they may have."""
+    error = np.abs(scenario.initial_error_state())
+    final = np.zeros_like(error)
+    final[0] = smallest_final_tube(scenario)
+    ends = {
+        "start": (scenario.start_state(), error),
+        "goal": (scenario.goal_state(), final),
+    }
+    limits = zip(_limits_by_path(scenario), scenario.limits.others, strict=True)
+    for path, limit in limits:
+        if not isinstance(limit, ConvexLimit) or limit.derivative >= len(error):
+            continue
+        k, unit = limit.derivative, limit.unit(scenario.sliding_law())
+        for end, (state, tube) in ends.items():
+            left = limit.left(state[k], tube[k])
+            worst = int(left.argmin())
+            where = f" ({limit.where(worst)})" if limit.where(worst) else ""
+            require(
+                f"{end}.{[*DERIVATIVES][k]}",
+                state[k],
+                bool(left[worst] >= 0),
+                f"inside {path}{where}, tube included: {-left[worst]:.3g} {unit} are"
+                f" missing (tube {show(tube[k].round(3))} {unit})",
             )
 
 
@@ -320,7 +367,10 @@ def sensing_range_needed(scenario: Scenario, velocity: Array | None = None) -> f
             all axes that obstacles look at, which no certified flight exceeds.
     """
     if velocity is None:
-        velocity = scenario.limits.speed * scenario.obstacle_set().outputs_seen()
+        along = [
+            scenario.limits.speed_along(i) for i in range(scenario.model.num_outputs)
+        ]
+        velocity = np.array(along) * scenario.obstacle_set().outputs_seen()
     n, interval = scenario.model.order, scenario.duration / scenario.planner.intervals
     looks = scenario.planning_delay() + scenario.sensing.period
     return range_needed(

@@ -109,7 +109,7 @@ class _Dumper(yaml.SafeDumper):
 
     def represent_sequence(self, tag: Any, items: Any, flow_style: Any = None) -> Any:
         """Lists of numbers on one line."""
-        flow = all(isinstance(item, (int, float, str)) for item in items)
+        flow = all(isinstance(item, (int, float, str, type(None))) for item in items)
         return super().represent_sequence(tag, items, flow_style=flow)
 
     def ignore_aliases(self, data: Any) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 
 from dtmpc_drake.costs import Cost
 from dtmpc_drake.disturbances import Disturbance, UniformHold
-from dtmpc_drake.limits import Limit
+from dtmpc_drake.limits import InputRange, Limit, NormLimit, PositionLimit
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.models import ConstantUncertainty, DragDoubleIntegrator, Model
 from dtmpc_drake.numerics.arrays import Array, BoolArray
@@ -68,13 +68,38 @@ class Limits:
 
     Attributes:
         input: u_m, the bound of the norm of u, in m/s².
-        speed: the bound of the speed along every axis, in m/s.
+        speed: the bound of the speed along every axis, in m/s; a list gives each axis
+            its own.
+        position: floor, ceiling and fences.
+        inputs: bounds of every input by itself.
+        norms: ``‖P z + q‖ <= c`` on outputs, their derivatives and the input.
         own: any others, of registered classes; see `limits.Limit`.
     """
 
     input: float = 5.0
-    speed: float = 2.5
+    speed: float | list[float] = 2.5
+    position: PositionLimit | None = None
+    inputs: InputRange | None = None
+    norms: list[NormLimit] = dataclasses.field(default_factory=list)
     own: list[Limit] = dataclasses.field(default_factory=list)
+
+    @property
+    def fastest(self) -> float:
+        """The largest bound of the speed along an axis, in m/s."""
+        return float(np.max(self.speed))
+
+    def speed_along(self, axis: int) -> float:
+        """The bound of the speed along an axis, in m/s."""
+        return self.speed[axis] if isinstance(self.speed, list) else self.speed
+
+    @property
+    def others(self) -> tuple[Limit, ...]:
+        """All but the norm of the input and the speed."""
+        limits: list[Limit] = [
+            each for each in (self.position, self.inputs) if each is not None
+        ]
+        limits += [norm.limit() for norm in self.norms]
+        return (*limits, *self.own)
 
 
 @dataclasses.dataclass
@@ -127,7 +152,7 @@ class SolverOptions:
             relative.
         sampled_reserve: the same of limits that are looked at on the fine grid: the
             tube's pieces round off the model's kinks.
-        linear_reserve: the same of limits on the reference's derivatives: the velocity
+        convex_reserve: the same of limits on the reference's derivatives: the velocity
             tube is proven with some slack.
         backoff: how much programs ask for beyond every limit, in m and in the units
             of limits over their scales, so that an iterate that is feasible to this
@@ -151,7 +176,7 @@ class SolverOptions:
         obstacle_reach: pieces and obstacles further apart have no half-plane, in m.
         obstacle_reach_of_a_step: the same in parts of what the speed limit allows
             between two knots, if that is more.
-        linear_reach: control points with more margin than this part of a limit are
+        convex_reach: control points with more margin than this part of a limit are
             left out of the programs.
         sampled_reach: the same of knots.
         between_reach: the same of nodes between knots.
@@ -168,7 +193,7 @@ class SolverOptions:
     coarse_iterations: int = 2
     bandwidth_reserve: float = 2e-3
     sampled_reserve: float = 2e-3
-    linear_reserve: float = 1e-3
+    convex_reserve: float = 1e-3
     backoff: float = 3e-4
     sampled_backoff: float = 1e-3
     penalty: float = 1e3
@@ -182,7 +207,7 @@ class SolverOptions:
     near: float = 0.3
     obstacle_reach: float = 0.8
     obstacle_reach_of_a_step: float = 0.32
-    linear_reach: float = 0.28
+    convex_reach: float = 0.28
     sampled_reach: float = 0.2
     between_reach: float = 0.06
     bandwidth_reach: float = 0.6
@@ -321,7 +346,7 @@ class Scenario:
         model: Model = self.model
         if self.planner.uncertainty == "constant":
             return ConstantUncertainty(
-                model, model.constant_model_error_bound(self.limits.speed)
+                model, model.constant_model_error_bound(self.limits.fastest)
             )
         return model
 

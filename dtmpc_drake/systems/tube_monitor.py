@@ -110,7 +110,12 @@ class TubeMonitor(LeafSystem):
         self._slope = scenario.slope()
         self._obstacles = scenario.obstacle_set()
         self._largest = verdict.largest_kept(scenario.limits)
-        self._own_limits = tuple(scenario.limits.own)
+        limits = scenario.limits
+        self._other_limits = limits.others
+        # So that one largest speed will do for all axes.
+        self._slower = limits.fastest - np.array(
+            [limits.speed_along(i) for i in range(m)]
+        )
         self._state = self.DeclareVectorInputPort("state", count * n * m)
         self._plan = DeclarePlanInputPort(self)
         self._control = self.DeclareVectorInputPort("control", count * m)
@@ -197,7 +202,7 @@ class TubeMonitor(LeafSystem):
         value[:, verdict.OBSTACLES] = _last_axis_max(depth)
         value[:, verdict.INPUT] = np.sqrt((control * control).sum(axis=-1))
         value[:, verdict.SPEED] = _last_axis_max(speed)
-        value[:, verdict.OWN] = _last_axis_max(missing)
+        value[:, verdict.OTHERS] = _last_axis_max(missing)
         # |s| has every part of the state in it.
         all_of_it = value[:, verdict.LAYER] + value[:, verdict.INPUT]
         value[:, verdict.FINITE] = ~np.isfinite(all_of_it)
@@ -229,7 +234,7 @@ class TubeMonitor(LeafSystem):
             place[:, _TUBES] = ratios.argmax(axis=-1)
             place[:, verdict.OBSTACLES] = depth.argmax(axis=-1)
             place[:, verdict.SPEED] = speed.argmax(axis=-1)
-            place[:, verdict.OWN] = missing.argmax(axis=-1)
+            place[:, verdict.OTHERS] = missing.argmax(axis=-1)
             return place
 
         before = context.get_discrete_state(self._record_state).value()
@@ -244,7 +249,7 @@ class TubeMonitor(LeafSystem):
         return before, after
 
     def _by_place(self, context: Any) -> tuple[Array, Array, Array, Array]:
-        """Tube ratios, depths in obstacles, speeds, and what is missing of own limits.
+        """Tube ratios, depths in obstacles, speeds, and what other limits miss.
 
         Each has its places along the last axis.
         """
@@ -261,24 +266,24 @@ class TubeMonitor(LeafSystem):
         return unflattened(control, (self._shape[0], -1), trials=True)
 
     def _missing(self, state: Array, context: Any) -> Array:
-        """What is missing of each own limit, ``(count, at least 1)``."""
-        missing = np.full((len(state), max(len(self._own_limits), 1)), -np.inf)
-        for i, limit in enumerate(self._own_limits):
+        """What is missing of each of the other limits, ``(count, at least 1)``."""
+        missing = np.full((len(state), max(len(self._other_limits), 1)), -np.inf)
+        for i, limit in enumerate(self._other_limits):
             left = limit.flown(state, self._controls(context))
             if left is not None:
                 missing[:, i] = -left.min(axis=-1)
         return missing
 
     def _speed(self, context: Any, state: Array) -> Array:
-        """|dy/dt|, ``(count, m)``; minus infinity where it cannot be known yet."""
+        """|dy/dt| as the verdict wants it; minus infinity where it is not known yet."""
         if self._shape[1] > 1:
-            return np.abs(state[:, 1])
+            return np.abs(state[:, 1]) + self._slower
         elapsed = self._elapsed(context)
         if not elapsed >= _SHORTEST:
             return np.full_like(state[:, 0], -np.inf)
         before = context.get_discrete_state(self._last_state).value()[:-1]
         moved = np.abs(state[:, 0] - before.reshape(state[:, 0].shape))
-        return moved / elapsed
+        return moved / elapsed + self._slower
 
     def _elapsed(self, context: Any) -> float:
         """Since the position that was kept, in s; NaN if there is none."""

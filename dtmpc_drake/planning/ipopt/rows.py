@@ -15,6 +15,7 @@ import numpy as np
 from pydrake.autodiffutils import AutoDiffXd, ExtractValue, InitializeAutoDiff
 from pydrake.solvers import MathematicalProgram
 
+from dtmpc_drake.limits import ConvexLimit
 from dtmpc_drake.numerics import splines
 from dtmpc_drake.numerics.arrays import Array, jacobian
 from dtmpc_drake.obstacles.separation import Turning
@@ -294,6 +295,69 @@ class AtKnots(NlpRows):
         """See base class."""
         slopes = jacobian(self._function, self._local(z)) @ self._matrix
         return slopes.reshape(self.columns.shape)
+
+
+class AtControlPoints(NlpRows):
+    """What is left of a convex limit at control points of its derivative.
+
+    Args:
+        transcription: of the problem.
+        layout: of z.
+        guess: gives what bounds the deviation beyond the chord of its knots.
+        number: of the limit among `Problem.convex`.
+        which: piece, control point and column of each row, ``(R, 3)``.
+    """
+
+    def __init__(
+        self,
+        transcription: Transcription,
+        layout: NlpVariables,
+        guess: Iterate,
+        number: int,
+        which: Array,
+    ) -> None:
+        tr = transcription
+        self._limit: ConvexLimit = tr.problem.convex[number]
+        piece, control, self._column = which.T
+        basis = tr.convex_bases[number]
+        self.columns = np.concatenate(
+            [
+                layout.coefficient_columns(piece, basis.shape[1]),
+                layout.state_columns[piece],
+            ],
+            axis=1,
+        )
+        m = tr.outputs
+        self._split = basis.shape[1] * m
+        self._value = np.stack([np.kron(row, np.eye(m)) for row in basis])[control]
+        later = (control / (len(basis) - 1))[:, None, None]
+        bound = layout.bounds[self._limit.derivative]
+        self._spread = np.concatenate([(1 - later) * bound, later * bound], axis=2)
+        states = layout.pack(tr, guess)[self.columns[:, self._split :]]
+        chord = np.einsum("rms,rs->rm", self._spread, states)
+        self._above = guess.convex_points[number][1][piece, control] - chord
+
+    def _points(self, z: Array) -> tuple[Array, Array]:
+        """Control points, and those of what bounds the deviation, ``(R, m)`` each."""
+        read = z[self.columns]
+        value = np.einsum("rmc,rc->rm", self._value, read[:, : self._split])
+        spread = np.einsum("rms,rs->rm", self._spread, read[:, self._split :])
+        return value, spread + self._above
+
+    def values(self, z: Array) -> Array:
+        """See base class."""
+        left = self._limit.left(*self._points(z))
+        return left[np.arange(len(left)), self._column]
+
+    def slopes(self, z: Array) -> Array:
+        """See base class."""
+        row = np.arange(len(self._column))
+        by_value, by_spread = (
+            each[row, self._column][:, None]
+            for each in self._limit.left_slopes(*self._points(z))
+        )
+        slopes = [by_value @ self._value, by_spread @ self._spread]
+        return np.concatenate(slopes, axis=2)[:, 0]
 
 
 class Separation(NlpRows):

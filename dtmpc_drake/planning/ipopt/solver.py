@@ -17,7 +17,7 @@ import numpy as np
 from pydrake.solvers import IpoptSolver, MathematicalProgram, SolverOptions
 
 from dtmpc_drake.costs import InputCost
-from dtmpc_drake.limits import LinearLimit, SampledLimit
+from dtmpc_drake.limits import ConvexLimit, LinearLimit, SampledLimit
 from dtmpc_drake.logs import muted
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.planning.backend import (
@@ -29,6 +29,7 @@ from dtmpc_drake.planning.backend import (
 )
 from dtmpc_drake.planning.deadline import NEVER, Deadline
 from dtmpc_drake.planning.ipopt.rows import (
+    AtControlPoints,
     AtKnots,
     Collocation,
     NlpRows,
@@ -108,7 +109,7 @@ class _Program:
         for pieces in _blocks(np.arange(tr.intervals)):
             self._bound(Collocation(tr, layout, pieces), self._none, 0.0, 0.0)
         self._add_sampled()
-        self._add_linear()
+        self._add_convex()
         # In the order of the pieces, so that those of a block read the same.
         for which in _blocks(np.argsort(guess.planes.piece, kind="stable")):
             rows = Separation(tr, layout, guess, which)
@@ -207,41 +208,48 @@ class _Program:
         knots = np.arange(tr.intervals + 1)
         for limit, margin in zip(tr.problem.sampled, self._guess.sampled, strict=True):
             least = margin[:: tr.tube_steps]
-            if limit.between_knots:  # a knot answers for the pieces on both sides
-                worst = tr.pieces(margin).min(axis=1)
+            if limit.between_knots:  # a knot answers for what is nearest to it
+                pieces, half = tr.pieces(margin), tr.tube_steps // 2
                 none = np.full_like(least[:1], np.inf)
-                least = np.minimum(
-                    np.concatenate([worst, none]), np.concatenate([none, worst])
-                )
+                after = np.concatenate([pieces[:, : half + 1].min(axis=1), none])
+                before = np.concatenate([none, pieces[:, half:].min(axis=1)])
+                least = np.minimum(after, before)
 
             def used(local: Local, limit: SampledLimit = limit) -> Array:
                 return -limit.margins(law, local.instant)
 
             self._add_limit(knots, used, least)
 
-    def _add_linear(self) -> None:
+    def _add_convex(self) -> None:
         """Where they come near; later rounds see where else."""
         tr, law = self.transcription, self.transcription.problem.law
-        n, near = tr.order, tr.near_linear(self._guess)
-        for number, limit in enumerate(tr.problem.linear):
-            margin = self._guess.linear[number]
+        n, near = tr.order, tr.near_convex(self._guess)
+        for number, limit in enumerate(tr.problem.convex):
+            margin = self._guess.convex[number]
             if limit.derivative < n:
-                self._add_linear_rows(number, near[number])
+                self._add_convex_rows(number, near[number])
                 continue
 
-            def used(local: Local, limit: LinearLimit = limit) -> Array:
+            def used(local: Local, limit: ConvexLimit = limit) -> Array:
                 return -limit.margins(law, local.instant)
 
             # y*^(n) at the knots, and a bound that is no state.
             at_knots = np.concatenate([margin[:, 0], margin[-1:, 1]])
-            reach = tr.reach * tr.options.linear_reach * limit.size
+            reach = tr.reach * tr.options.convex_reach * limit.size
             close = np.flatnonzero((at_knots < reach).any(axis=1))
             self._add_limit(close, used, at_knots)
 
-    def _add_linear_rows(self, number: int, near: Array) -> None:
+    def _add_convex_rows(self, number: int, near: Array) -> None:
         tr, layout = self.transcription, self.layout
-        limit, basis = tr.problem.linear[number], tr.linear_bases[number]
-        margin, count = self._guess.linear[number], basis.shape[1]
+        limit, basis = tr.problem.convex[number], tr.convex_bases[number]
+        margin, count = self._guess.convex[number], basis.shape[1]
+        if not isinstance(limit, LinearLimit):
+            for some in _blocks(np.argwhere(near)):
+                rows = AtControlPoints(tr, layout, self._guess, number, some)
+                least = rows.values(self._exact) - margin[tuple(some.T)]
+                low = least + tr.options.backoff
+                self._bound(rows, self._shift, low, np.inf)
+            return
         normals = limit.normals(tr.outputs)
         wide = np.abs(normals) @ layout.bounds[limit.derivative]
         first = np.arange(tr.intervals)

@@ -83,7 +83,7 @@ def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Ma
     """Every margin by name."""
     n, time = problem.law.order, enclosure.time
     margins: dict[str, Margin] = {}
-    own = set(map(id, problem.own_limits))
+    own = set(map(id, problem.other_limits))
     for limit in problem.limits:
         if id(limit) not in own:
             margins |= limit.certify(enclosure)
@@ -96,7 +96,7 @@ def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Ma
     bounds = [f"bound {k} on axis {i}" for k in range(n) for i in range(left.shape[2])]
     margins["tube"] = smallest(time, left.reshape(len(time), -1), "", bounds)
     margins |= consistency_margins(plan, problem)
-    for limit in problem.own_limits:
+    for limit in problem.other_limits:
         for name, margin in limit.certify(enclosure).items():
             # No margin may stand in another one's place, whatever it is called.
             margins[_free(name, margins)] = margin

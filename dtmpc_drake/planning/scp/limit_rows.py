@@ -10,7 +10,7 @@ import abc
 
 import numpy as np
 
-from dtmpc_drake.limits import LinearLimit, SampledLimit
+from dtmpc_drake.limits import ConvexLimit, SampledLimit
 from dtmpc_drake.limits.base import Facets
 from dtmpc_drake.method.tightening import deviation_bound
 from dtmpc_drake.numerics.arrays import Array, second_differences
@@ -81,6 +81,7 @@ class SampledRows(Block):
         self.backoff = options.backoff
         if self._limit.between_knots:
             self.backoff = options.sampled_backoff
+        self._width = iterate.sampled[number].shape[1]
         self.nodes = self._chosen(iterate.sampled[number])
         self._facets = Facets(np.zeros(0, dtype=int), np.zeros((0, tr.outputs)))
         self.values, self.columns = NOTHING
@@ -178,21 +179,20 @@ class SampledRows(Block):
         """Multipliers of these rows, but for facets, at all nodes, ``(M + 1, q)``."""
         tr = self._tr
         own = multipliers[: len(multipliers) - len(self._facets.place)]
-        width = max(len(own) // max(len(self.nodes), 1), 1)
-        found = np.zeros((tr.intervals * tr.tube_steps + 1, width))
-        found[self.nodes] = own.reshape(-1, width) / self._limit.scale
+        found = np.zeros((tr.intervals * tr.tube_steps + 1, self._width))
+        found[self.nodes] = own.reshape(-1, self._width) / self._limit.scale
         return found
 
 
-class LinearRows(Block):
-    """A limit on a derivative of the reference, at control points where it is near.
+class ConvexRows(Block):
+    """A limit on a derivative of the output, at control points where it is near.
 
     Args:
         transcription: of the problem.
         variables: of the program.
-        number: of the limit among `Problem.linear`.
+        number: of the limit among `Problem.convex`.
         iterate: to linearise around.
-        near: which control points, as `Iterate.linear`.
+        near: which control points, as `Iterate.convex`.
         secant: half-width of the differences along the state.
     """
 
@@ -207,30 +207,34 @@ class LinearRows(Block):
     ) -> None:
         tr, v = transcription, variables
         self.backoff, self._number = tr.options.backoff, number
-        limit: LinearLimit = tr.problem.linear[number]
-        basis = tr.linear_bases[number]
+        limit: ConvexLimit = tr.problem.convex[number]
+        basis = tr.convex_bases[number]
         self._which = piece, control, column = np.nonzero(near)
-        normal = limit.normals(tr.outputs)[column]
+        value, spread = (each[piece, control] for each in iterate.convex_points[number])
+        row = np.arange(len(piece))
+        by_value, by_spread = (
+            each[row, column] for each in limit.left_slopes(value, spread)
+        )
         rate = _deviation_rows(tr, v, iterate, limit.derivative, secant)
         reads = np.concatenate([v.knot_columns, v.move_columns], axis=1)
-        own = basis[control][:, :, None] * normal[:, None]
+        own = basis[control][:, :, None] * by_value[:, None]
         weight = (control / (basis.shape[0] - 1))[:, None]
-        wide = np.abs(normal)[:, None]
+        wide = by_spread[:, None]
         before, after = (wide @ rate[piece])[:, 0], (wide @ rate[piece + 1])[:, 0]
         values = [
-            -own.reshape(len(own), basis.shape[1] * tr.outputs),
-            (weight - 1) * before,
-            -weight * after,
+            own.reshape(len(own), basis.shape[1] * tr.outputs),
+            (1 - weight) * before,
+            weight * after,
         ]
         columns = [v.coefficient_columns(piece, basis.shape[1])]
         columns += [reads[piece], reads[piece + 1]]
         self.values = np.concatenate(values, axis=1)
         self.columns = np.concatenate(columns, axis=1)
-        self.margin = iterate.linear[number][self._which]
+        self.margin = iterate.convex[number][self._which]
 
     def margins(self, reached: Iterate, planes: Halfplanes) -> Array:
         """See base class."""
-        return reached.linear[self._number][self._which]
+        return reached.convex[self._number][self._which]
 
 
 class PlaneRows(Block):

@@ -25,7 +25,7 @@ from dtmpc_drake.planning.scp.curvature import (
 )
 from dtmpc_drake.planning.scp.limit_rows import (
     Block,
-    LinearRows,
+    ConvexRows,
     PlaneRows,
     SampledRows,
 )
@@ -213,12 +213,12 @@ class Program:
             SampledRows(tr, v, number, iterate, sensitivity, secant)
             for number in range(len(p.sampled))
         ]
-        linear = [
-            LinearRows(tr, v, number, iterate, near, secant)
-            for number, near in enumerate(tr.near_linear(iterate))
+        convex = [
+            ConvexRows(tr, v, number, iterate, near, secant)
+            for number, near in enumerate(tr.near_convex(iterate))
         ]
         planes = PlaneRows(tr, v, iterate, self._planes)
-        return [*self._sampled, *linear, planes]
+        return [*self._sampled, *convex, planes]
 
     def _update_cost(self, iterate: Iterate, shape: Shape) -> None:
         """Gauss-Newton model of the cost, exact where it is quadratic.

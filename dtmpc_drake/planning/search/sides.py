@@ -178,7 +178,7 @@ def propose(problem: Problem, count: int) -> list[Way]:
         choices = itertools.islice(_choices(layers, frame), POOL * count)
         tight = _pulled_tight(list(choices), frame, len(obstacles))
     tight.sort(key=lambda way: (way.length, way.sides))
-    longest = problem.speed.bound * np.sqrt(len(start)) * problem.duration
+    longest = problem.speed.size * np.sqrt(len(start)) * problem.duration
     found: list[Way] = []
     for batch in (tight[k : k + count] for k in range(0, len(tight), count)):
         paths = _pushed_out(np.array([w.points for w in batch]), obstacles, tube)

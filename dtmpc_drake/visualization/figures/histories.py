@@ -62,8 +62,8 @@ def plot_histories(
     rows = ["error", "sliding", "bandwidth", "speed"]
     if n == 1:
         rows.remove("sliding")  # s is the error itself
-    own = scenario.limits.own
-    figure, panels, bottoms = _panels(rows, m, 1 + len(own))
+    others = scenario.limits.others
+    figure, panels, bottoms = _panels(rows, m, 1 + len(others))
     bottom = bottoms[0]
     for i in range(m):
         column = {name: panels[name, i] for name in rows}
@@ -89,7 +89,7 @@ def plot_histories(
     for name in rows:
         panels[name, 0].set_ylabel(labels[name])
     bottom.set_ylabel(f"input norm ‖u‖\n({unit_of(n)})")
-    for limit, left, axes in zip(own, planned.own, bottoms[1:], strict=True):
+    for limit, left, axes in zip(others, planned.others, bottoms[1:], strict=True):
         axes.axhline(0.0, **_LIMIT)
         axes.plot(planned.time, left, **_TIGHTENED)
         seen = None if flight is None else limit.flown(flight.state, flight.control)
@@ -133,7 +133,8 @@ class _Planned:
         rate_bound: of |dỹ/dt|, ``(K, m)``.
         feedforward: u*, ``(K, m)``.
         input_bound: of ‖u‖ anywhere in the tube, ``(K,)``.
-        own: what is left of each own limit anywhere in the tube, ``(K,)`` each.
+        others: what is left of each of `Limits.others` anywhere in the tube,
+            ``(K,)`` each.
     """
 
     time: FloatArray
@@ -144,7 +145,7 @@ class _Planned:
     rate_bound: FloatArray
     feedforward: FloatArray
     input_bound: FloatArray
-    own: list[FloatArray]
+    others: list[FloatArray]
 
     @classmethod
     def of(cls, scenario: Scenario, plan: Plan) -> _Planned:
@@ -164,7 +165,9 @@ class _Planned:
             rate_bound=deviation_bound(law, at, 1),
             feedforward=law.model.input_for(state, highest - law.model.drift(state)),
             input_bound=input_bound(law, at),
-            own=[each.margins(law, at).min(axis=-1) for each in scenario.limits.own],
+            others=[
+                each.margins(law, at).min(axis=-1) for each in scenario.limits.others
+            ],
         )
 
 
@@ -209,7 +212,7 @@ def _draw_planned(
         panel.axhline(allowed.max, **_LIMIT)
     panel.plot(time, planned.bandwidth[:, i], **_PLANNED)
     panel.set_ylim(0.0, 1.12 * allowed.max)
-    panel, limit = panels["speed"], scenario.limits.speed
+    panel, limit = panels["speed"], scenario.limits.speed_along(i)
     panel.axhline(limit, **_LIMIT)
     panel.plot(time, limit - planned.rate_bound[:, i], **_TIGHTENED)
     panel.plot(time, np.abs(planned.reference[:, 1, i]), **_PLANNED)
