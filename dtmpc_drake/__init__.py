@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dtmpc_drake.costs import Cost
-    from dtmpc_drake.diagrams import MakeClosedLoop, Simulate
+    from dtmpc_drake.diagrams import MakeClosedLoop, MakeController, Simulate
     from dtmpc_drake.experiments import run_comparison, run_experiment, run_monte_carlo
     from dtmpc_drake.limits import Limit
     from dtmpc_drake.models import (
@@ -42,6 +42,7 @@ __all__ = [
     "IntegratorChain",
     "Limit",
     "MakeClosedLoop",
+    "MakeController",
     "Model",
     "Obstacle",
     "Plan",
@@ -68,7 +69,7 @@ __all__ = [
 
 _ROOMS = {
     "costs": ("Cost",),
-    "diagrams": ("MakeClosedLoop", "Simulate"),
+    "diagrams": ("MakeClosedLoop", "MakeController", "Simulate"),
     "experiments": ("run_comparison", "run_experiment", "run_monte_carlo"),
     "limits": ("Limit",),
     "models": ("DragDoubleIntegrator", "IntegratorChain", "Model", "SampledBoxBounds"),

@@ -27,8 +27,10 @@ from rich.progress import (
 )
 
 from dtmpc_drake import __version__
-from dtmpc_drake.errors import ScenarioError
+from dtmpc_drake.errors import ScenarioError, require
 from dtmpc_drake.plugins import load_plugins
+from dtmpc_drake.records.export import FORMATS
+from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import (
     SHIPPED,
     Scenario,
@@ -42,7 +44,15 @@ if TYPE_CHECKING:
     from dtmpc_drake.experiments.monte_carlo import Batch
 
 BAD_INPUT, NOT_CERTIFIED = 2, 3
-OPTIONS = ("seed", "trials", "batch-size", "disturbance", "scheduler")
+OPTIONS = (
+    "seed",
+    "trials",
+    "batch-size",
+    "disturbance",
+    "scheduler",
+    "format",
+    "out",
+)
 """Fields of a ScenarioError that are options and no part of a file."""
 
 app = typer.Typer(
@@ -247,6 +257,39 @@ def compare(
         raise typer.Exit(NOT_CERTIFIED)
 
 
+@app.command()
+def export(
+    plan: Annotated[
+        Path, typer.Argument(help="A saved plan, such as out/<name>/plan.npz.")
+    ],
+    kind: Annotated[
+        str, typer.Option("--format", metavar="|".join(FORMATS), help="Of the text.")
+    ] = "csv",
+    out: Annotated[
+        Path | None, typer.Option(help="File to write.  [default: standard output]")
+    ] = None,
+) -> None:
+    """Write a plan's reference in a format that other programs read.
+
+    csv: the piecewise polynomials that small quadrotors read (Crazyswarm,
+    uav_trajectories). A line has the duration of a piece and its coefficients of x,
+    y, z and yaw, in powers 0 to 7 of the time since the piece began.
+    """
+    with _input_errors(out):
+        require("format", kind, kind in FORMATS, ", ".join(FORMATS))
+        saved = _plan(plan)
+        text = FORMATS[kind](saved)
+        if out is None:
+            typer.echo(text, nl=False)
+            return
+        own = not (out.exists() and out.samefile(plan))
+        require("out", str(out), own, "another file than the plan's own")
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(text, encoding="utf-8")
+    duration = saved.end_time - saved.start_time
+    typer.echo(f"{out}: {len(saved.knots) - 1} pieces, {duration:g} s")
+
+
 @app.command("list")
 def list_scenarios() -> None:
     """List the shipped scenarios."""
@@ -302,6 +345,17 @@ def _load(
         scenario.planner.backend = backend
     validate(scenario)
     return scenario
+
+
+def _plan(path: Path) -> Plan:
+    """A saved plan; ends with one line if there is none."""
+    try:
+        return Plan.load(path)
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        _refuse(f"plan: got {str(path)!r}, but it must be readable ({reason})")
+    except ValueError as error:
+        _refuse(str(error))
 
 
 def _whole(option: str, value: str) -> int:

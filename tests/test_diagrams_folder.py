@@ -64,6 +64,13 @@ def test_known_environment(tmp_path: Path) -> None:
     assert_replay(written(tmp_path, "known_environment.html"))
 
 
+def test_multibody_plant(tmp_path: Path) -> None:
+    said = run("multibody_plant", tmp_path)
+    told = re.search(r"used (\d+)% of the tube at most, (\S+) m clear", said)
+    assert told and 20 < int(told.group(1)) <= 100
+    assert float(told.group(2)) > 0
+
+
 def test_receding_horizon(tmp_path: Path) -> None:
     said = run("receding_horizon", tmp_path)
     rows = said.splitlines()[1:-1]

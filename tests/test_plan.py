@@ -5,11 +5,13 @@ from __future__ import annotations
 import copy
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydrake.systems.primitives import TrajectorySource
 
 from dtmpc_drake.models import Model
 from dtmpc_drake.numerics.arrays import Array
@@ -401,6 +403,47 @@ def test_joined_plans_are_each_in_force_in_turn(model: Model) -> None:
         np.testing.assert_allclose(
             joined.error_bound(inside), expected.error_bound(inside), atol=1e-9
         )
+
+
+@each_order
+@given(seed=seeds, start_time=st.floats(-20, 20))
+def test_a_trajectory_of_drakes_is_the_plan(
+    model: Model, seed: int, start_time: float
+) -> None:
+    """At any time: at knots and hand-overs, inside pieces, before and after."""
+    first, second = (a_plan(model, seed + i, start_time) for i in range(2))
+    joined = join([first, second, first], start_time + np.array([0.0, 1.7, 3.4]))
+    for plan in (first, joined):
+        reference, layer = plan.trajectory(), plan.layer_trajectory()
+        tube = plan.tube_trajectory()
+        for drawn in (reference, layer, tube):
+            assert drawn.start_time() == plan.start_time
+            assert drawn.end_time() == plan.end_time
+            assert (drawn.rows(), drawn.cols()) == (plan.num_outputs, 1)
+        rng = np.random.default_rng(seed)
+        anywhere = rng.uniform(plan.start_time - 1, plan.end_time + 1, 40)
+        for t in np.concatenate([plan.knots, plan.tube_times[::7], anywhere]).tolist():
+            for k, row in enumerate(plan.reference(t)):
+                assert at(reference, t, k) == pytest.approx(row, rel=1e-12, abs=1e-12)
+            for k, row in enumerate(plan.layer(t)):
+                assert at(layer, t, k) == pytest.approx(row, rel=1e-12, abs=1e-12)
+            position_tube = plan.position_tube(t)
+            assert at(tube, t, 0) == pytest.approx(position_tube, rel=1e-12, abs=1e-12)
+
+
+def at(trajectory: Any, time: float, derivative: int) -> Array:
+    if derivative == 0:
+        return trajectory.value(time)[:, 0]
+    return trajectory.EvalDerivative(time, derivative)[:, 0]
+
+
+def test_a_source_of_drakes_gives_the_reference_and_its_derivatives() -> None:
+    plan = a_plan(one_model_of_each_order()[1])
+    source = TrajectorySource(plan.trajectory(), output_derivative_order=plan.order)
+    context = source.CreateDefaultContext()
+    context.SetTime(4.4)
+    given = source.get_output_port().Eval(context)
+    assert given == pytest.approx(plan.reference(4.4).ravel())
 
 
 def test_nothing_in_a_plan_can_be_changed_so_copies_are_shared() -> None:

@@ -16,7 +16,14 @@ from dtmpc_drake.__main__ import app
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-CHEAP = ("activate", "dtmpc list", "dtmpc show", "dtmpc check", "dtmpc simulate")
+CHEAP = (
+    "activate",
+    "dtmpc list",
+    "dtmpc show",
+    "dtmpc check",
+    "dtmpc simulate",
+    "dtmpc export",
+)
 
 
 def floors() -> list[str]:
@@ -66,6 +73,7 @@ def test_the_commands_work_as_printed(tmp_path: Path) -> None:
     assert "known_environment" in process.stdout
     assert "valid: Scenario(" in process.stdout
     assert (tmp_path / "results" / "summary.json").exists()
+    assert (tmp_path / "mine.csv").read_text(encoding="utf-8").startswith("duration,")
 
 
 def test_every_command_printed_is_one_of_ours() -> None:

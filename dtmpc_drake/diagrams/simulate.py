@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
-from pydrake.systems.framework import Context, Diagram, EventStatus
+from pydrake.systems.framework import Context, Diagram, EventStatus, System
 
 from dtmpc_drake.diagrams.closed_loop import MakeClosedLoop, MakeSideBySide
 from dtmpc_drake.diagrams.recorder import Recorder
@@ -26,7 +26,12 @@ Progress = Callable[[float], None]
 
 
 def Simulate(
-    scenario: Scenario, *, plan: Plan | None = None, progress: Progress | None = None
+    scenario: Scenario,
+    *,
+    plan: Plan | None = None,
+    plant: System | None = None,
+    disturbance: System | None = None,
+    progress: Progress | None = None,
 ) -> Flight:
     """Simulates a scenario to its end.
 
@@ -36,6 +41,8 @@ def Simulate(
     Args:
         scenario: the whole experiment.
         plan: to fly instead of planning at the start.
+        plant: of one's own, as for `MakeClosedLoop`.
+        disturbance: of one's own, as for `MakeClosedLoop`.
         progress: is told how far the flight is.
 
     Returns:
@@ -43,10 +50,11 @@ def Simulate(
         was flown is `hold_plan`.
 
     Raises:
-        ScenarioError: if the integrator's step is too long to be stable.
+        ScenarioError: if the integrator's step is too long to be stable, or plan, plant
+            or disturbance do not fit the scenario's model.
     """
     require_stable_simulation(scenario)
-    loop = MakeClosedLoop(scenario, plan=plan)
+    loop = MakeClosedLoop(scenario, plan=plan, plant=plant, disturbance=disturbance)
     context = loop.CreateDefaultContext()
     loop.SetRandomContext(context, RandomGenerator(scenario.simulation.seed))
     return _logged(scenario, loop, context, lead=(), progress=progress)

@@ -7,13 +7,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dtmpc_drake.numerics.arrays import FloatArray
 from dtmpc_drake.numerics.polynomials import cut, locate, power_derivatives, shifted
 from dtmpc_drake.records.archive import DAMAGE, require_archive
+
+if TYPE_CHECKING:
+    from pydrake.trajectories import PiecewisePolynomial
 
 _SAMPLE_PERIOD = 0.005  # of a saved plan, in s
 _JUMP = 1e-6  # in which joined plans change their tubes, in s
@@ -171,6 +174,24 @@ class Plan:
     def position_tube(self, time: FloatArray | float) -> FloatArray:
         """Ω, the bound of ``|ỹ|``, shape ``(..., m)``."""
         return self.error_bound(time)[..., 0, :]
+
+    def trajectory(self) -> PiecewisePolynomial:
+        """y* as a trajectory of Drake's, ``(m, 1)``, in s: the plan's own pieces.
+
+        So are its derivatives up to the n-th, which is continuous.  It holds its ends
+        as the plan does.
+        """
+        return _drake_trajectory(self.knots, self.coefficients)
+
+    def layer_trajectory(self) -> PiecewisePolynomial:
+        """Φ* as a trajectory of Drake's, ``(m, 1)``; its derivative is dΦ*/dt."""
+        return _drake_trajectory(self.tube_times, self.layer_coefficients)
+
+    def tube_trajectory(self) -> PiecewisePolynomial:
+        """Ω as a trajectory of Drake's, ``(m, 1)``."""
+        length, cubics = self._bound_cubics
+        scale = length[:, None, None] ** np.arange(4)[:, None]
+        return _drake_trajectory(self.tube_times, cubics[:, :, 0] / scale)
 
     def between(self, start: float, end: float) -> Plan:
         """A part of the plan, which is the same functions of time.
@@ -350,6 +371,23 @@ def _fault(array: FloatArray, shape: tuple[int, ...], times: FloatArray) -> str:
     if array is times and not (np.diff(array) > 0).all():
         return "must increase"
     return ""
+
+
+def _drake_trajectory(times: FloatArray, coefficients: FloatArray) -> Any:
+    """Drake's piecewise polynomial of the same pieces.
+
+    Args:
+        times: where they meet, ``(K + 1,)``, in s.
+        coefficients: in powers of the time since a piece began, ``(K, powers, m)``.
+    """
+    # Not before it is asked for: plans are read where Drake is not needed, too.
+    from pydrake.polynomial import Polynomial
+    from pydrake.trajectories import PiecewisePolynomial
+
+    pieces = [
+        np.array([[Polynomial(powers)] for powers in piece.T]) for piece in coefficients
+    ]
+    return PiecewisePolynomial(pieces, times)
 
 
 def join(plans: Sequence[Plan], times: Sequence[float]) -> Plan:
