@@ -18,8 +18,9 @@ from dtmpc_drake.limits import (
     PositionLimit,
     SpeedLimit,
 )
-from dtmpc_drake.limits.norms import DerivativeNorm, InputNorm, Norm
+from dtmpc_drake.limits.norms import MOST_READ, DerivativeNorm, InputNorm, Norm
 from dtmpc_drake.method.tightening import Instant
+from dtmpc_drake.models import DragDoubleIntegrator
 from dtmpc_drake.planning import certify, plan_problem
 from dtmpc_drake.planning.proof.enclosure import enclose
 from dtmpc_drake.planning.starts import straight_line
@@ -129,10 +130,10 @@ def test_what_is_proven_is_below_every_sample_and_near(model, seed):
     spare = 1e-6 + 10 * max(enclosure.claim_excess.max(), 0.0)
     assert spare < 1e-3
     for limit in (SpeedLimit(2.0), *all_limits(model, seed)):
-        proven = limit.proven(enclosure).min(axis=0)
-        dense = limit.margins(problem.law, at).min(axis=0)
-        assert (proven <= dense + spare).all()
-        assert (proven >= dense - 0.05 * (1 + np.abs(dense))).all()
+        proven = limit.proven(enclosure).min()
+        dense = limit.margins(problem.law, at).min()
+        assert proven <= dense + spare
+        assert proven >= dense - 0.05 * (1 + np.abs(dense))
 
 
 @models
@@ -150,7 +151,8 @@ def test_no_error_inside_the_tube_breaks_a_margin(model, seed):
             assert left is None  # it is no state
             continue
         rounding = 1e-5  # of norms near zero
-        assert (left >= limit.margins(problem.law, at) - rounding).all()
+        margins = limit.margins(problem.law, at).min(axis=-1)
+        assert (left.min(axis=-1) >= margins - rounding).all()
 
 
 @models
@@ -172,8 +174,8 @@ def test_control_points_are_below_every_sample(model, seed):
         iterate.tube.error_bound,
     )
     for limit, margin in zip(problem.convex, iterate.convex, strict=True):
-        dense = tr.pieces(limit.margins(problem.law, at)).min(axis=1)
-        assert (margin.min(axis=1) <= dense + 1e-9).all()
+        dense = tr.pieces(limit.margins(problem.law, at)).min(axis=(1, 2))
+        assert (margin.min(axis=(1, 2)) <= dense + 1e-9).all()
 
 
 @pytest.mark.parametrize("backend", ["clarabel", "ipopt"])
@@ -249,7 +251,71 @@ def test_what_is_left_is_concave_and_falls_with_the_spread(model, seed):
             part * value + (1 - part) * other, part * spread + (1 - part) * wider
         )
         assert (between >= part * left + (1 - part) * right - 1e-9).all()
-        assert (limit.left(value, spread + wider) <= left + 1e-9).all()
-        corner = np.sign(rng.normal(size=(20, m))) * spread
-        none = np.zeros_like(spread)
-        assert (limit.left(value + corner, none) >= left - 1e-5).all()
+        least = left.min(axis=-1)
+        assert (limit.left(value, spread + wider).min(axis=-1) <= least + 1e-9).all()
+        inside = rng.uniform(-1, 1, (50, 20, m)) * spread
+        found = limit.left(value + inside, np.zeros_like(inside)).min(axis=-1)
+        assert (found >= least - 1e-5).all()
+
+
+@given(seed=st.integers(0, 2**16))
+def test_a_norm_of_many_numbers_is_bounded_from_above(seed):
+    """Their box has too many corners to look at."""
+    rng = np.random.default_rng(seed)
+    m = MOST_READ + 1
+    norm = Norm(rng.normal(size=(3, m)), rng.normal(size=3), 2.0)
+    value, spread = rng.normal(size=m), rng.uniform(0, 1, m)
+    inside = rng.uniform(-1, 1, (400, m)) * spread
+    found = norm.left(value + inside, np.zeros(m))
+    assert found.min() >= norm.left(value, spread).min() - 1e-5
+    by_value, by_spread = norm.left_slopes(value, spread)
+    h = 1e-6 * rng.normal(size=m)
+    gained = norm.left(value + h, spread) - norm.left(value, spread)
+    assert gained == pytest.approx(by_value @ h, rel=1e-2, abs=1e-9)
+    gained = norm.left(value, spread + h) - norm.left(value, spread)
+    assert gained == pytest.approx(by_spread @ h, rel=1e-2, abs=1e-9)
+
+
+class Relaxed(Limit):
+    """Another limit with something added to what is left of it."""
+
+    name = "relaxed"
+
+    def __init__(self, limit: Limit, amount: float) -> None:
+        self.limit, self.amount = limit, amount
+
+    def margins(self, law, at):
+        return self.limit.margins(law, at) + self.amount
+
+    def proven(self, enclosure):
+        return self.limit.proven(enclosure) + self.amount
+
+    def unit(self, law):
+        return self.limit.unit(law)
+
+
+def test_what_is_broken_only_between_knots_is_caught():
+    """A limit of each kind that all knots of a plan keep, but no time between."""
+    model, N, steps = DragDoubleIntegrator(0.1, 0.1), 12, 64
+    problem = make_problem(model, goal=np.zeros((2, 3)))
+    tr = Transcription(problem, N)
+    planted = {}
+    for seed in range(25):  # hovering, with a bandwidth that goes up and down
+        coefficients, bandwidth = straight_line(tr)
+        rng = np.random.default_rng(seed)
+        bandwidth = tr.bandwidth.feasible(rng.uniform(0.5, 4, bandwidth.shape))
+        plan = tr.plan(tr.evaluate(coefficients, bandwidth))
+        time = np.linspace(plan.start_time, plan.end_time, N * steps + 1)
+        at = instants(problem.law, plan, time)
+        for number, limit in enumerate(all_limits(model, 0)):
+            left = limit.margins(problem.law, at).min(axis=-1)
+            knots, between = left[::steps].min(), left.min()
+            if knots - between > planted.get(number, [1e-3])[0]:
+                planted[number] = knots - between, limit, plan, (knots + between) / 2
+    assert len(planted) == len(all_limits(model, 0))
+    for gap, limit, plan, middle in planted.values():
+        for amount in (-middle, gap - middle):
+            own = (Relaxed(limit, amount),)
+            limited = dataclasses.replace(problem, other_limits=own)
+            margin = certify(plan, limited).margins["relaxed"].value
+            assert (margin < 0) == (amount == -middle)

@@ -1,13 +1,12 @@
 """Limits of a norm ``‖P z + q‖ <= c`` (assumption 5, corollaries 1 and 2).
 
-z is the output, one of its derivatives, or the input.  Each norm is a row of its own,
-and each component of ``P z + q``, which is no larger, two more: near zero a norm has no
-slope to go by, but they have.
+z is the output, one of its derivatives, or the input: anywhere in a box.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from typing import ClassVar
 
 import numpy as np
@@ -27,6 +26,8 @@ from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.tightening import Instant, input_range
 from dtmpc_drake.numerics.arrays import Array, euclidean_norm
 
+MOST_READ = 4
+"""Of so many numbers in z all corners of the box are looked at."""
 DERIVATIVES = "position", "velocity", "acceleration", "jerk"
 """What a derivative of the output is called."""
 
@@ -45,33 +46,46 @@ class Norm:
     offset: Array | None
     bound: float
 
-    def _parts(self, m: int) -> tuple[Array, Array, Array]:
-        """P, q, and unit vectors both ways along every component, ``(2 r, r)``."""
+    def _parts(self, m: int) -> tuple[Array, Array, Array | None]:
+        """P, q, and the signs of the corners of a box that P reads, ``(2^k, m)``."""
         matrix = np.eye(m) if self.matrix is None else self.matrix
         offset = np.zeros(len(matrix)) if self.offset is None else self.offset
-        eye = np.eye(len(matrix))
-        return matrix, offset, np.concatenate([eye, -eye])
+        read = np.flatnonzero(matrix.any(axis=0))
+        if len(read) > MOST_READ:
+            return matrix, offset, None
+        signs = np.zeros((2 ** len(read), m))
+        signs[:, read] = [*itertools.product((-1.0, 1.0), repeat=len(read))]
+        return matrix, offset, signs
 
     def left(self, value: Array, spread: Array) -> Array:
-        """``c - ‖P z + q‖ - ‖|P| spread‖``, and by components, ``(..., 1 + 2 r)``."""
-        matrix, offset, components = self._parts(value.shape[-1])
-        seen = value @ matrix.T + offset
-        used = euclidean_norm(spread @ np.abs(matrix).T)[..., None]
-        along = seen @ components.T
-        norms = np.concatenate([euclidean_norm(seen)[..., None], along], axis=-1)
-        return self.bound - norms - used
+        """What is left at each corner of the box ``value ± spread``, ``(..., q)``.
+
+        A norm is largest at one of them.  Of boxes with many corners there is one
+        column, ``c - ‖P value + q‖ - ‖|P| spread‖``.
+        """
+        matrix, offset, signs = self._parts(value.shape[-1])
+        if signs is None:
+            seen, wide = value @ matrix.T + offset, spread @ np.abs(matrix).T
+            return (self.bound - euclidean_norm(seen) - euclidean_norm(wide))[..., None]
+        corners = value[..., None, :] + signs * spread[..., None, :]
+        return self.bound - euclidean_norm(corners @ matrix.T + offset)
 
     def left_slopes(self, value: Array, spread: Array) -> tuple[Array, Array]:
-        """Derivatives of `left` by value and spread, ``(..., 1 + 2 r, m)`` each."""
-        matrix, offset, components = self._parts(value.shape[-1])
-        seen = value @ matrix.T + offset
-        steepest = (seen / euclidean_norm(seen)[..., None])[..., None, :]
-        along = np.broadcast_to(components, (*seen.shape[:-1], *components.shape))
-        by_value = np.concatenate([steepest, along], axis=-2) @ matrix
-        matrix = np.abs(matrix)
-        wide = spread @ matrix.T
-        by_spread = (wide / euclidean_norm(wide)[..., None]) @ matrix
-        return -by_value, -np.broadcast_to(by_spread[..., None, :], by_value.shape)
+        """Derivatives of `left` by value and by spread, ``(..., q, m)`` each."""
+        matrix, offset, signs = self._parts(value.shape[-1])
+        if signs is None:
+            seen, wide = value @ matrix.T + offset, spread @ np.abs(matrix).T
+            return (
+                -(_unit(seen) @ matrix)[..., None, :],
+                -(_unit(wide) @ np.abs(matrix))[..., None, :],
+            )
+        corners = value[..., None, :] + signs * spread[..., None, :]
+        by_value = -_unit(corners @ matrix.T + offset) @ matrix
+        return by_value, by_value * signs
+
+
+def _unit(vectors: Array) -> Array:
+    return vectors / euclidean_norm(vectors)[..., None]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
