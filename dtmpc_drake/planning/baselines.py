@@ -371,8 +371,9 @@ def bandwidth_cost(result: PlanningResult, problem: Problem) -> float:
     plan = result.attempt
     if plan is None:
         return float("nan")
-    running = problem.bandwidth_cost.running(plan.bandwidth_knots)
-    return float(np.diff(plan.knots) @ (running[1:] + running[:-1]) / 2)
+    steps = np.diff(plan.knots)
+    running = problem.bandwidth_cost.running(plan.bandwidth_knots, float(steps[0]))
+    return float(steps @ (running[1:] + running[:-1]) / 2)
 
 
 def crossover(plan: Plan, scenario: Scenario) -> float:
