@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -23,6 +24,8 @@ class InputCost(Cost):
     """
 
     weight: Weight
+
+    title: ClassVar[str] = "input"
 
     @cached_property
     def _root(self) -> Array:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -24,10 +25,14 @@ class StateCost(Cost):
     Attributes:
         target: x, ``(n, m)``.
         roots: from ``x* - target``, flattened, to what is squared, ``(r, n m)``.
+        of_goal: see base class.
     """
 
     target: Array
     roots: Array
+    of_goal: bool = True
+
+    title: ClassVar[str] = "state"
 
     @classmethod
     def of(
@@ -55,7 +60,8 @@ class StateCost(Cost):
                 place = np.zeros((1, n))
                 place[0, k] = 1.0
                 rows.append(np.kron(place, root_of(matrix_of(weight, m)) @ across))
-        return cls(target, np.concatenate([np.zeros((0, n * m)), *rows]))
+        roots = np.concatenate([np.zeros((0, n * m)), *rows])
+        return cls(target, roots, of_goal=direction is None)
 
     def residuals(self, law: SlidingLaw, state: Array, highest: Array) -> Array:
         """See base class."""

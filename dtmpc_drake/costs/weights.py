@@ -7,6 +7,8 @@ product with a matrix.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from dtmpc_drake.checks import require_magnitude, require_not_negative
@@ -31,7 +33,7 @@ def require_weight(field: str, weight: Weight, size: int) -> None:
     Raises:
         ScenarioError: that names the field, or an entry of it.
     """
-    given = weight.tolist() if isinstance(weight, np.ndarray) else weight
+    given: Any = weight.tolist() if isinstance(weight, np.ndarray) else weight
     if not isinstance(given, (list, tuple)):
         require_not_negative(field, given, "")
         return

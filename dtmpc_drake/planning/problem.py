@@ -130,7 +130,8 @@ class Problem:
         """The same to a rest anywhere, which is no goal to be drawn to."""
         rest = np.zeros_like(self.goal)
         rest[0] = np.nan  # anywhere
-        return dataclasses.replace(self, goal=rest, soft=(), terminal=())
+        costs = tuple(cost for cost in self.costs if not cost.of_goal)
+        return dataclasses.replace(self, goal=rest, soft=(), costs=costs, terminal=())
 
     @cached_property
     def limits(self) -> tuple[Limit, ...]:

@@ -39,6 +39,8 @@ from dtmpc_drake.visualization.style import (
 
 ROOT = "/dtmpc"
 """Everything drawn here is below this path."""
+SOFT = 0.35
+"""Opacity of a goal that draws to itself, but need not be met."""
 FLAT = 0.04
 """Half-thickness along axes that the vehicle does not have, in m."""
 
@@ -151,13 +153,15 @@ def add_field(
         Rgba(0.82, 0.83, 0.84),
     )
     E = embedding(scenario.model.num_outputs)
-    for name, state in (
-        ("start", scenario.start_state()),
-        ("goal", scenario.goal_state()),
+    soft = 0 in scenario.soft_derivatives()
+    for name, state, opacity in (
+        ("start", scenario.start_state(), 1.0),
+        ("goal", scenario.goal_state(), SOFT if soft else 1.0),
     ):
         where = E @ state[0]
         where[2] = z
-        meshcat.SetObject(f"{ROOT}/field/{name}", Cylinder(0.3, 0.01), rgba(GREEN))
+        color = rgba(GREEN, opacity)
+        meshcat.SetObject(f"{ROOT}/field/{name}", Cylinder(0.3, 0.01), color)
         meshcat.SetTransform(f"{ROOT}/field/{name}", RigidTransform(where))
 
 
