@@ -461,6 +461,11 @@ class Scenario:
         names = [*DERIVATIVES]
         return tuple(k for k in rows if k < len(names) and names[k] in soft)
 
+    @property
+    def goal_is_soft(self) -> bool:
+        """Whether a plan need not end at the goal's position."""
+        return 0 in self.soft_derivatives()
+
     def initial_error_state(self) -> Array:
         """x̃(t0), shape ``(n, m)``."""
         if self.initial_error is None:
