@@ -16,7 +16,7 @@ The best fixed bandwidth is found by a sweep over all that the scenario allows, 
 and bounds no baseline.
 
 All have the same cost function.  It charges α, and so a fixed one all the time; the
-nominal plan has no bandwidth, so its cost is that of the input alone.  It does not
+nominal plan has no bandwidth, so its cost is that of all else.  It does not
 charge the slope λ, with which α makes the loop (`sliding.gain_crossover`): costs of
 plans with different λ say nothing unless `crossover` stands beside them.
 """
