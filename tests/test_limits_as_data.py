@@ -260,3 +260,33 @@ def test_each_axis_is_held_to_its_own_speed(plans: dict[str, PlanningResult]) ->
     (broken, *_) = Simulate(flown, plan=plans["every speed"].plan).breaches(flown)
     assert broken.what == "speed"
     assert "(axis 2)" in str(broken) and "at most 0.05 m/s" in str(broken)
+
+
+def test_a_soft_goal_may_be_out_of_bounds() -> None:
+    soft = FIELD.replace("[0, 20, 1]}", "[0, 20, 1], soft: true}")
+    text = (
+        "limits: {position: {max: [null, 19.0, null]}}\ncost: {terminal: {position: 5}}"
+    )
+    result = plan(parse_scenario(f"{soft}{text}"))
+    assert result.certified, result.message
+    end = result.plan.reference(14.0)[0, 1]
+    tube = result.plan.error_bound(14.0)[0, 1]
+    assert 18.5 < end + tube <= 19.0
+
+
+def test_a_jerk_may_be_limited_where_it_is_a_derivative_of_the_output() -> None:
+    text = """
+model: !IntegratorChain {num_outputs: 1, order: 3, error_bound: 0.1}
+disturbance: !BangBang {bound: [0.1]}
+controller: {slope: [2.0], initial_boundary_layer: 0.2}
+start: {position: [0]}
+goal: {position: [3]}
+duration: 5
+limits: {input: 20, norms: [{of: jerk, bound: BOUND}, {of: acceleration, bound: 2}]}
+planner: {intervals: 20}
+"""
+    free = plan(parse_scenario(text.replace("BOUND", "20")))
+    held = plan(parse_scenario(text.replace("BOUND", "3.2")))
+    assert free.certified and held.certified
+    assert free.cost < held.cost
+    assert 0 <= held.certificate.margins["jerk_norm"].value < 0.1

@@ -210,6 +210,7 @@ SET: dict[str, Callable[[Scenario, float], Any]] = {
     "limits.input": lambda s, x: setattr(s.limits, "input", x),
     "duration": lambda s, x: setattr(s, "duration", x),
     "cost.input": lambda s, x: setattr(s.cost, "input", x),
+    "cost.bandwidth_rate": lambda s, x: setattr(s.cost, "bandwidth_rate", x),
     "start.position[0]": lambda s, x: s.start.position.__setitem__(0, x),
     "goal.position[1]": lambda s, x: s.goal.position.__setitem__(1, x),
     "disturbance.bound[2]": lambda s, x: s.disturbance.bound.__setitem__(2, x),

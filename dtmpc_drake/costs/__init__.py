@@ -7,5 +7,16 @@ plans may enter here.
 from dtmpc_drake.costs.bandwidth import BandwidthCost
 from dtmpc_drake.costs.base import COSTS, Cost, register_cost
 from dtmpc_drake.costs.input import InputCost
+from dtmpc_drake.costs.state import StateCost
+from dtmpc_drake.costs.weights import Weight, require_weight
 
-__all__ = ["COSTS", "BandwidthCost", "Cost", "InputCost", "register_cost"]
+__all__ = [
+    "COSTS",
+    "BandwidthCost",
+    "Cost",
+    "InputCost",
+    "StateCost",
+    "Weight",
+    "register_cost",
+    "require_weight",
+]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from typing import ClassVar
 
 import numpy as np
 
@@ -18,6 +19,11 @@ STEP = 1e-6
 
 class Cost(Part, abc.ABC):
     """A running cost: a sum of squares of what the reference is at one instant."""
+
+    title: ClassVar[str] = ""
+    """Of what it charges, for tables; its class if it says nothing."""
+    of_goal: bool = False
+    """Whether a plan that gives up the goal, to rest anywhere, has no such cost."""
 
     @abc.abstractmethod
     def residuals(self, law: SlidingLaw, state: Array, highest: Array) -> Array:

@@ -1,31 +1,40 @@
-"""The cost of the input, uᵀQu with Q a multiple of the identity."""
+"""The cost of the input, uᵀQu."""
 
 from __future__ import annotations
 
 import dataclasses
+from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
 from dtmpc_drake.costs.base import Cost
+from dtmpc_drake.costs.weights import Weight, root_of, rooted, rooted_rows
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.differences import Parts
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class InputCost(Cost):
-    """``weight ‖u*‖²`` with u* = B⁻¹ (y*^(n) - F̂(x*)).
+    """``u*'Q u*`` with u* = B⁻¹ (y*^(n) - F̂(x*)).
 
     Attributes:
-        weight: Q, times the identity.
+        weight: Q: a number, a list or a matrix; see `weights`.
     """
 
-    weight: float
+    weight: Weight
+
+    title: ClassVar[str] = "input"
+
+    @cached_property
+    def _root(self) -> Array:
+        return root_of(self.weight)
 
     def residuals(self, law: SlidingLaw, state: Array, highest: Array) -> Array:
         """See base class."""
         u = law.model.input_for(state, highest - law.model.drift(state))
-        return np.sqrt(self.weight) * u
+        return rooted(self._root, u)
 
     def slopes(
         self, law: SlidingLaw, state: Array, highest: Array, secant: float
@@ -46,5 +55,5 @@ class InputCost(Cost):
         by_model = -inverse @ by_drift
         if by_inverse.any():
             by_model += np.einsum("kijl,kj->kil", by_inverse, highest - drift)
-        root = np.sqrt(self.weight)
-        return root * by_model[:, :, :size], root * inverse
+        root = self._root
+        return rooted_rows(root, by_model[:, :, :size]), rooted_rows(root, inverse)

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from dtmpc_drake.costs import Weight
 from dtmpc_drake.disturbances import Disturbance
+from dtmpc_drake.errors import show
 from dtmpc_drake.experiments.monte_carlo import (
     BATCH_SIZE,
     Batch,
@@ -24,11 +26,11 @@ from dtmpc_drake.experiments.tables import text_table
 from dtmpc_drake.planning.baselines import (
     RESOLUTION,
     Outcome,
-    bandwidth_cost,
     crossover,
     make_baselines,
     solve,
 )
+from dtmpc_drake.planning.charges import charges
 from dtmpc_drake.records.flights import Flights
 from dtmpc_drake.scenario import (
     Scenario,
@@ -37,12 +39,14 @@ from dtmpc_drake.scenario import (
     require_trials,
     validate,
 )
+from dtmpc_drake.scenario.schema import DERIVATIVES, StateWeights
 from dtmpc_drake.visualization import Panel, plot_plans
 
 _OF_A_PLAN = (
     "cost",
     "input_cost",
     "bandwidth_cost",
+    "other_cost",
     "fixed_bandwidth",
     "crossover",
     "tube_mean",
@@ -73,7 +77,7 @@ class Row:
 
         Lengths in m, times in s, bandwidths in rad/s.  `fixed_bandwidth` is what
         the plan is flown with, the best of a sweep where there was one.
-        `input_cost` and `bandwidth_cost` are the two parts of `cost`; `crossover`
+        `input_cost`, `bandwidth_cost` and `other_cost` make up `cost`; `crossover`
         is that of the whole loop, its mean over time and axes; `effort` is ∫‖u‖² dt
         of the median flight.  `plan_time_s` counts the whole sweep.
         """
@@ -86,13 +90,15 @@ class Row:
             "plan_time_s": outcome.plan_time,
         }
         numbers |= dict.fromkeys(_OF_A_PLAN)
-        if plan is not None:
-            part = bandwidth_cost(outcome.result, outcome.baseline.problem)
+        if plan is not None and outcome.result.attempt is not None:
+            parts = charges(outcome.result.attempt, outcome.baseline.problem)
+            of_input, of_bandwidth = parts.pop("input"), parts.pop("bandwidth")
             tube = plan.position_tube(plan.sample_times())
             numbers |= {
                 "cost": outcome.result.cost,
-                "input_cost": outcome.result.cost - part,
-                "bandwidth_cost": part,
+                "input_cost": of_input,
+                "bandwidth_cost": of_bandwidth,
+                "other_cost": sum(parts.values()),
                 "fixed_bandwidth": outcome.baseline.fixed_bandwidth,
                 "crossover": crossover(plan, outcome.baseline.scenario),
                 "tube_mean": tube.mean(),
@@ -245,13 +251,21 @@ def _write(scenario: Scenario, rows: dict[str, Row], out: Path) -> list[Path]:
 
 def currency(scenario: Scenario) -> dict[str, Any]:
     """In what costs are counted, and what they leave out, in SI units and rad/s."""
-    bandwidth = scenario.controller.bandwidth
+    bandwidth, cost = scenario.controller.bandwidth, scenario.cost
+    rate = cost.bandwidth_rate
+    others = {
+        "bandwidth_rate_weight": rate if np.any(rate) else None,
+        "state_weights": cost.state and dataclasses.asdict(cost.state),
+        "terminal_weights": cost.terminal and dataclasses.asdict(cost.terminal),
+        "own": [type(each).__name__ for each in cost.own],
+    }
     return {
         "input_weight": scenario.cost.input,
         "bandwidth_weight": scenario.cost.bandwidth,
         "bandwidth_min": bandwidth.min,
         "bandwidth_max": bandwidth.max,
         "slope": list(scenario.controller.slope),
+        **{name: value for name, value in others.items() if value},
     }
 
 
@@ -261,12 +275,40 @@ def currency_text(scenario: Scenario) -> tuple[str, str]:
     low, high = c["bandwidth_min"], c["bandwidth_max"]
     slopes = [f"{value:g}" for value in c["slope"]]
     slope = slopes[0] if len(set(slopes)) == 1 else f"({', '.join(slopes)})"
+    running, end = _terms(scenario)
     return (
-        f"cost: ∫ {c['input_weight']:g}‖u*‖² + {c['bandwidth_weight']:g}"
-        f"‖α − {low:g}‖² dt, with α from {low:g} to {high:g} rad/s;",
+        f"cost: ∫ {' + '.join(running)} dt{''.join(f' + {term}' for term in end)},"
+        f" with α from {low:g} to {high:g} rad/s;",
         f"it does not charge λ = {slope} 1/s: compare other λ by ω_c, "
         "the gain crossover of the loop of α and λ",
     )
+
+
+def _terms(scenario: Scenario) -> tuple[list[str], list[str]]:
+    """Of the cost: under the integral, and at the end."""
+    cost, low = scenario.cost, scenario.controller.bandwidth.min
+
+    def term(weight: Weight, what: str) -> str:
+        if isinstance(weight, (int, float)):
+            return f"{weight:g}‖{what}‖²"
+        return f"({what})'{show(weight)}({what})"
+
+    def of_state(weights: StateWeights | None, goal: str, when: str) -> list[str]:
+        each = [getattr(weights, name, 0.0) for name in DERIVATIVES]
+        names = [f"{y}*{when} − {goal}" for y in ("y", "ẏ", "ÿ")]
+        return [
+            term(weight, name)
+            for weight, name in zip(each, names, strict=True)
+            if np.any(weight)
+        ]
+
+    running = [term(cost.input, "u*"), term(cost.bandwidth, f"α − {low:g}")]
+    if np.any(cost.bandwidth_rate):
+        running.append(term(cost.bandwidth_rate, "dα/dt"))
+    to = "line" if cost.state is not None and cost.state.line is not None else "goal"
+    running += of_state(cost.state, to, "")
+    running += [type(each).__name__ for each in cost.own]
+    return running, of_state(cost.terminal, "goal", "(t_f)")
 
 
 def advantage(rows: dict[str, Row]) -> float | None:

@@ -10,7 +10,8 @@ from typing import Any
 from dtmpc_drake.diagrams import Simulate
 from dtmpc_drake.diagrams.simulate import Progress
 from dtmpc_drake.experiments.outputs import placed, plain, replacing, write_json
-from dtmpc_drake.planning import plan
+from dtmpc_drake.planning import Problem, plan
+from dtmpc_drake.planning.charges import charges
 from dtmpc_drake.records.flight import Flight
 from dtmpc_drake.records.replan import counted, table
 from dtmpc_drake.records.result import Iteration, PlanningResult
@@ -207,6 +208,13 @@ def _run(
     return Experiment(scenario, result, log, tuple(files))
 
 
+def _charges(scenario: Scenario, result: PlanningResult) -> dict[str, float] | None:
+    """The terms of a plan's cost."""
+    if result.attempt is None:
+        return None
+    return charges(result.attempt, Problem.from_scenario(scenario))
+
+
 def flight_verdict(breaches: Sequence[Breach]) -> str:
     """One line: what a flight broke first, when and by how much."""
     if not breaches:
@@ -241,6 +249,7 @@ def summarize(
         "seed": scenario.simulation.seed,
         "margins": {name: dataclasses.asdict(m) for name, m in margins.items()},
         "cost": result.cost,
+        "charges": _charges(scenario, result),
         "iterations": len(result.history),
         "plan_time_s": result.times["total"],
         "times": result.times,

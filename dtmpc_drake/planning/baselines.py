@@ -16,7 +16,7 @@ The best fixed bandwidth is found by a sweep over all that the scenario allows, 
 and bounds no baseline.
 
 All have the same cost function.  It charges α, and so a fixed one all the time; the
-nominal plan has no bandwidth, so its cost is that of the input alone.  It does not
+nominal plan has no bandwidth, so its cost is that of all else.  It does not
 charge the slope λ, with which α makes the loop (`sliding.gain_crossover`): costs of
 plans with different λ say nothing unless `crossover` stands beside them.
 """
@@ -32,6 +32,7 @@ from dtmpc_drake.method.layer import layer_pieces
 from dtmpc_drake.method.sliding import SlidingLaw, gain_crossover
 from dtmpc_drake.method.tube import TubeStart, propagate
 from dtmpc_drake.models import ConstantUncertainty
+from dtmpc_drake.planning.charges import charges
 from dtmpc_drake.planning.planner import plan_problem
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.planning.proof.certify import certify
@@ -367,12 +368,9 @@ def with_fixed_bandwidth(plan: Plan, problem: Problem) -> Plan:
 
 
 def bandwidth_cost(result: PlanningResult, problem: Problem) -> float:
-    """The part of a result's cost that pays for bandwidth; the rest is input."""
+    """The part of a result's cost that pays for bandwidth and its rate."""
     plan = result.attempt
-    if plan is None:
-        return float("nan")
-    running = problem.bandwidth_cost.running(plan.bandwidth_knots)
-    return float(np.diff(plan.knots) @ (running[1:] + running[:-1]) / 2)
+    return float("nan") if plan is None else charges(plan, problem)["bandwidth"]
 
 
 def crossover(plan: Plan, scenario: Scenario) -> float:

@@ -23,20 +23,16 @@ class Ends:
     Args:
         problem: whose ends are meant.
         intervals: of the grid.
-
-    Attributes:
-        goal_rows: the derivatives that the goal prescribes.
     """
 
     def __init__(self, problem: Problem, intervals: int) -> None:
         order = problem.law.order
         degree, step = order + 1, problem.duration / intervals
         self._intervals, self._degree, count = intervals, degree, intervals + degree
-        goal = [k for k, row in enumerate(problem.goal) if np.isfinite(row).all()]
+        goal = problem.goal_rows
         start = [*problem.start]
         if problem.start_highest is not None:
             start.append(problem.start_highest)
-        self.goal_rows = goal
         self._conditions = np.concatenate(
             [
                 _conditions(intervals, degree, 0, step)[: len(start)],

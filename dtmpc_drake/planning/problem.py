@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from dtmpc_drake.costs import BandwidthCost, Cost, InputCost
+from dtmpc_drake.costs import BandwidthCost, Cost, InputCost, StateCost
 from dtmpc_drake.limits import (
     BandwidthLimit,
     ConvexLimit,
@@ -24,6 +24,7 @@ from dtmpc_drake.models import ConstantUncertainty, Model
 from dtmpc_drake.numerics.arrays import Array, BoolArray
 from dtmpc_drake.obstacles import ObstacleSet
 from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.scenario.schema import DERIVATIVES, StateWeights
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -38,10 +39,12 @@ class Problem:
         speed: the limit of the speed along every axis.
         other_limits: any others.
         bandwidth: the range of the bandwidth, and the limit of its rate.
-        costs: of the reference.
-        bandwidth_cost: of the bandwidth.
+        costs: of the reference, all the time.
+        bandwidth_cost: of the bandwidth and its rate.
         start_time, duration: in s.
         start, goal: x* at both ends, ``(n, m)``; a row of NaN in the goal is free.
+        soft: rows of the goal that are no conditions, but where costs draw to.
+        terminal: costs of the reference at its end.
         tube_start: what the tube opens from.
         velocity_bound: ``comparison`` or ``paper``.
         start_highest: y*^(n)(t0), if it must be continuous.
@@ -63,6 +66,8 @@ class Problem:
     tube_start: TubeStart
     velocity_bound: VelocityBound
     other_limits: tuple[Limit, ...] = ()
+    soft: tuple[int, ...] = ()
+    terminal: tuple[Cost, ...] = ()
     start_highest: Array | None = None
     start_bandwidth: Array | None = None
 
@@ -92,12 +97,16 @@ class Problem:
             speed=SpeedLimit(scenario.limits.speed),
             other_limits=scenario.limits.others,
             bandwidth=BandwidthLimit(low, high, bandwidth.rate_max),
-            costs=(InputCost(scenario.cost.input), *scenario.cost.own),
-            bandwidth_cost=BandwidthCost(scenario.cost.bandwidth, bandwidth.min),
+            costs=_running_costs(scenario),
+            bandwidth_cost=BandwidthCost(
+                scenario.cost.bandwidth, bandwidth.min, scenario.cost.bandwidth_rate
+            ),
             start_time=0.0,
             duration=scenario.duration,
             start=scenario.start_state(),
             goal=scenario.goal_state(),
+            soft=scenario.soft_derivatives(),
+            terminal=_state_costs(scenario.cost.terminal, scenario.goal_state()),
             tube_start=TubeStart.of_error(
                 np.abs(scenario.initial_error_state()),
                 scenario.initial_boundary_layer(),
@@ -110,6 +119,19 @@ class Problem:
     def model(self) -> Model:
         """F̂, B, Δ and their bounds, as the controller knows them."""
         return self.law.model
+
+    @property
+    def goal_rows(self) -> list[int]:
+        """The derivatives that the goal prescribes."""
+        given = [k for k, row in enumerate(self.goal) if np.isfinite(row).all()]
+        return [k for k in given if k not in self.soft]
+
+    def to_rest(self) -> Problem:
+        """The same to a rest anywhere, which is no goal to be drawn to."""
+        rest = np.zeros_like(self.goal)
+        rest[0] = np.nan  # anywhere
+        costs = tuple(cost for cost in self.costs if not cost.of_goal)
+        return dataclasses.replace(self, goal=rest, soft=(), costs=costs, terminal=())
 
     @cached_property
     def limits(self) -> tuple[Limit, ...]:
@@ -130,3 +152,25 @@ class Problem:
     def convex(self) -> tuple[ConvexLimit, ...]:
         """The limits that are convex in a derivative of the output."""
         return tuple(limit for limit in self.limits if isinstance(limit, ConvexLimit))
+
+
+def _running_costs(scenario: Scenario) -> tuple[Cost, ...]:
+    cost = scenario.cost
+    target, direction = scenario.goal_state(), None
+    if cost.state is not None and cost.state.line is not None:
+        target = np.zeros_like(target)
+        target[0] = cost.state.line.point
+        direction = np.array(cost.state.line.direction, dtype=float)
+    of_state = _state_costs(cost.state, target, direction)
+    return (InputCost(cost.input), *of_state, *cost.own)
+
+
+def _state_costs(
+    weights: StateWeights | None, target: Array, direction: Array | None = None
+) -> tuple[Cost, ...]:
+    """The cost of a section of a scenario; none if it weighs nothing."""
+    if weights is None:
+        return ()
+    each = [getattr(weights, name) for name in DERIVATIVES][: len(target)]
+    cost = StateCost.of(each, target, direction)
+    return (cost,) if len(cost.roots) else ()

@@ -33,6 +33,8 @@ ITERATIONS = 12
 """Convex programs at most for each try: what needs more comes too late."""
 LAYER_TOLERANCE = 1e-6
 """By how much a measured |s| may exceed Φ for rounding, relative."""
+CLOSE = 1e-3
+"""Two states that are no further apart are the same, in their units."""
 CARRY_STEP = 5e-3
 """Step at most, with which the measured error is carried to the hand-over, in s."""
 
@@ -233,9 +235,9 @@ def _decide(
     """What `replan` decides for a vehicle that is inside its boundary layer."""
     start = problem.start_time
     tries = _Tries(scenario)
-    left, n = problem.duration, problem.model.order
+    left = problem.duration
     enough = left >= shortest_duration(scenario) - 1e-9
-    arrives = np.abs(plan.reference(plan.end_time)[:n] - problem.goal).max() < 1e-3
+    arrives = _heads_for_goal(plan, problem)
     search = news or not arrives
     if enough and tries.certified(problem, left, plan if arrives else None, search):
         return tries.decision("certified")
@@ -246,9 +248,7 @@ def _decide(
     if distance >= 0:
         return Decision("kept", why, None, None, tries.iterations)
 
-    rest = np.zeros_like(problem.goal)
-    rest[0] = np.nan  # anywhere
-    stop = dataclasses.replace(problem, goal=rest)
+    stop = problem.to_rest()
     best: PlanningResult | None = None
     for seconds in _stopping_times(problem, plan):
         guess = Slowed(plan, start, seconds, problem.bandwidth.high)
@@ -265,6 +265,23 @@ def _decide(
     if best is None:
         return Decision("unsafe", message, None, None, tries.iterations)
     return Decision("unsafe", message, best.attempt, best.cost, tries.iterations)
+
+
+def _heads_for_goal(plan: Plan, problem: Problem) -> bool:
+    """Whether a plan is to end where the goal says, and not a stop on the way.
+
+    Of a goal that is soft a plan may fall short; one that then rests, farther from
+    the goal than from where it is, is taken for a stop.
+    """
+    end = plan.reference(plan.end_time)[: problem.model.order]
+    rows = problem.goal_rows
+    if (np.abs(end[rows] - problem.goal[rows]) >= CLOSE).any():
+        return False
+    left, way = (
+        float(np.linalg.norm(end[0] - x[0])) for x in (problem.goal, problem.start)
+    )
+    rests = problem.model.order > 1 and bool((np.abs(end[1:]) < CLOSE).all())
+    return 0 in rows or not rests or left <= max(way, CLOSE)
 
 
 class _Tries:

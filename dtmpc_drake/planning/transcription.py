@@ -11,11 +11,13 @@ be right to first order around it; no discretisation error is left in a plan.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from math import ceil, log2
 
 import numpy as np
 
+from dtmpc_drake.costs import Cost
 from dtmpc_drake.limits import ConvexLimit
 from dtmpc_drake.method.layer import layer_pieces
 from dtmpc_drake.method.tightening import Instant, deviation_bound
@@ -34,6 +36,8 @@ TUBE_STEPS = 8, 16
 """Steps of the tube in each interval, at least; the half grid has twice as many.  The
 second where Δ varies and eight are longer than an eighth of a time constant."""
 DEFAULTS = SolverOptions()
+LAST = np.array([-1])
+"""The knot at the end."""
 STIFF = 4
 """From so many steps in place of one the tube's derivatives are found implicitly."""
 
@@ -254,15 +258,31 @@ class Transcription:
 
     def _cost(self, local: Local, bandwidth: Array) -> float:
         p = self.problem
-        running = p.bandwidth_cost.running(bandwidth)
+        running = p.bandwidth_cost.running(bandwidth, self.step)
         running = running + (self.residuals(local) ** 2).sum(1)
-        return float(self.weights @ running)
+        cost = self.weights @ running
+        if p.terminal:
+            last = local.at(LAST)
+            cost = cost + (self.residuals(last, p.terminal) ** 2).sum()
+        return float(cost)
 
-    def residuals(self, local: Local) -> Array:
-        """Of all costs of the reference, ``(..., r)``; generic in the scalar."""
+    def residuals(self, local: Local, costs: Sequence[Cost] | None = None) -> Array:
+        """Of some costs of the reference, ``(..., r)``; of the running ones by default.
+
+        Generic in the scalar.
+        """
         p = self.problem
-        each = [c.residuals(p.law, local.state, local.highest) for c in p.costs]
+        some = p.costs if costs is None else costs
+        each = [c.residuals(p.law, local.state, local.highest) for c in some]
         return each[0] if len(each) == 1 else np.concatenate(each, axis=-1)
+
+    def residual_slopes(
+        self, local: Local, costs: Sequence[Cost], secant: float
+    ) -> Array:
+        """Their derivatives by x* and y*^(n), ``(K, r, (n + 1) m)``."""
+        law = self.problem.law
+        each = [c.slopes(law, local.state, local.highest, secant) for c in costs]
+        return np.concatenate([np.concatenate(both, axis=2) for both in each], axis=1)
 
     def _chord(self, at_knots: Array, degree: int) -> Array:
         """Values on the straight lines between knots, ``(N, degree + 1, ...)``."""

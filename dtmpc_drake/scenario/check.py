@@ -17,9 +17,9 @@ from dtmpc_drake.checks import (
     Setting,
     require_length,
     require_magnitude,
-    require_not_negative,
     require_positive,
 )
+from dtmpc_drake.costs import require_weight
 from dtmpc_drake.errors import ScenarioError, require, show
 from dtmpc_drake.limits import ConvexLimit
 from dtmpc_drake.method.sliding import sliding_variable
@@ -28,7 +28,12 @@ from dtmpc_drake.method.stopping import range_needed
 from dtmpc_drake.method.tube import TubeStart, propagate
 from dtmpc_drake.models import IntegratorChain
 from dtmpc_drake.numerics.arrays import Array
-from dtmpc_drake.scenario.schema import BACKENDS, Scenario
+from dtmpc_drake.scenario.schema import (
+    BACKENDS,
+    DERIVATIVES,
+    Scenario,
+    StateWeights,
+)
 from dtmpc_drake.scenario.size import require_affordable
 from dtmpc_drake.scenario.typed import typed
 
@@ -41,8 +46,6 @@ CHOICES = {
 }
 """The words that a field may be."""
 ENDS = "start", "goal", "initial_error"
-DERIVATIVES = {"position": "m", "velocity": "m/s", "acceleration": "m/s²"}
-"""Fields of a `Waypoint`, in order, and their units."""
 
 
 # Everything.
@@ -63,6 +66,8 @@ def validate_values(scenario: Scenario) -> None:
     _check_magnitudes(scenario)
     _check_sizes(scenario)
     _check_ranges(scenario)
+    _check_costs(scenario)
+    _check_soft_goal(scenario)
     _check_parts(scenario)
     require_affordable(scenario)
     _check_bandwidth(scenario)
@@ -142,8 +147,6 @@ def _check_ranges(scenario: Scenario) -> None:
             f"at least {shortest:g} s, which planner.compute_delay and"
             " sensing.period need",
         )
-    for name in ("input", "bandwidth"):
-        require_not_negative(f"cost.{name}", getattr(scenario.cost, name), "")
     seed = simulation.seed
     require("simulation.seed", seed, 0 <= seed < 2**32, "in [0, 2^32)")
     N, low = planner.intervals, 2 * scenario.model.order + 2
@@ -170,6 +173,40 @@ def _check_ranges(scenario: Scenario) -> None:
         names = ", ".join(scenario.model.parameter_names) or "nothing"
         known = name in scenario.model.parameter_names
         require(f"plant.{name}", value, known, f"one of: {names}")
+
+
+def _check_costs(scenario: Scenario) -> None:
+    cost, m = scenario.cost, scenario.model.num_outputs
+    for name in ("input", "bandwidth", "bandwidth_rate"):
+        require_weight(f"cost.{name}", getattr(cost, name), m)
+    for name in ("state", "terminal"):
+        weights: StateWeights | None = getattr(cost, name)
+        for k, derivative in enumerate(DERIVATIVES if weights is not None else ()):
+            field, weight = f"cost.{name}.{derivative}", getattr(weights, derivative)
+            require_weight(field, weight, m)
+            order = scenario.model.order
+            why = f"left out: the model is of order {order}"
+            require(field, weight, k < order or not np.any(weight), why)
+    if cost.state is None or cost.state.line is None:
+        return
+    for name in ("point", "direction"):
+        row, field = getattr(cost.state.line, name), f"cost.state.line.{name}"
+        require_length(field, row, m)
+        for i, value in enumerate(row):
+            require_magnitude(f"{field}[{i}]", value, "m")
+    require(field, row, bool(np.linalg.norm(row) >= 1e-9), "longer than 0")
+
+
+def _check_soft_goal(scenario: Scenario) -> None:
+    names = tuple(DERIVATIVES)[: scenario.model.order]
+    for end in ENDS:
+        waypoint = getattr(scenario, end)
+        soft = waypoint.soft if waypoint is not None else False
+        if end != "goal":
+            require(f"{end}.soft", soft, not soft, "left out: only a goal may be soft")
+        for i, name in enumerate([] if isinstance(soft, bool) else soft):
+            known = "one of " + ", ".join(names)
+            require(f"{end}.soft[{i}]", name, name in names, known)
 
 
 def _check_parts(scenario: Scenario) -> None:
@@ -235,7 +272,10 @@ def _check_motion(scenario: Scenario) -> None:
     speed = np.array([scenario.limits.speed_along(i) for i in range(start.shape[1])])
     given = show(scenario.limits.speed)
     if scenario.model.order > 1:
-        for end, state in (("start", start), ("goal", goal)):
+        ends = {"start": start, "goal": goal}
+        if 1 in scenario.soft_derivatives():
+            del ends["goal"]
+        for end, state in ends.items():
             require(
                 f"{end}.velocity",
                 state[1],
@@ -246,7 +286,7 @@ def _check_motion(scenario: Scenario) -> None:
     require(
         "duration",
         duration,
-        duration >= shortest,
+        duration >= shortest or scenario.goal_is_soft,
         f"at least {shortest:.4g} s: the goal is that far at the speed limit",
     )
     s = sliding_variable(scenario.initial_error_state(), scenario.slope())
@@ -266,8 +306,10 @@ def _check_clearance(scenario: Scenario) -> None:
     error = np.abs(scenario.initial_error_state()[0])
     ends = {
         "start.position": (scenario.start_state()[0], error),
-        "goal.position": (scenario.goal_state()[0], smallest_final_tube(scenario)),
     }
+    if not scenario.goal_is_soft:
+        goal = scenario.goal_state()[0]
+        ends["goal.position"] = goal, smallest_final_tube(scenario)
     for field, (position, tube) in ends.items():
         clearance = obstacles.clearance(position, tube, margin)
         for i in np.flatnonzero(clearance < 0)[:1]:
@@ -291,7 +333,9 @@ def _limits_by_path(scenario: Scenario) -> dict[str, Part]:
 
 def _check_limits_at_ends(scenario: Scenario) -> None:
     """Limits of the states at both ends, with the smallest tubes that they may have."""
-    error = np.abs(scenario.initial_error_state())
+    if not scenario.limits.others:
+        return
+    error, names = np.abs(scenario.initial_error_state()), [*DERIVATIVES]
     final = np.zeros_like(error)
     final[0] = smallest_final_tube(scenario)
     ends = {
@@ -304,11 +348,13 @@ def _check_limits_at_ends(scenario: Scenario) -> None:
             continue
         k, unit = limit.derivative, limit.unit(scenario.sliding_law())
         for end, (state, tube) in ends.items():
+            if end == "goal" and k in scenario.soft_derivatives():
+                continue
             left = limit.left(state[k], tube[k])
             worst = int(left.argmin())
             where = f" ({limit.where(worst)})" if limit.where(worst) else ""
             require(
-                f"{end}.{[*DERIVATIVES][k]}",
+                f"{end}.{names[k]}" if k < len(names) else end,
                 state[k],
                 bool(left[worst] >= 0),
                 f"inside {path}{where}, tube included: {-left[worst]:.3g} {unit} are"

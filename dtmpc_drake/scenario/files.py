@@ -100,7 +100,7 @@ class _Dumper(yaml.SafeDumper):
         given = {}
         for field in dataclasses.fields(data):
             value = getattr(data, field.name)
-            left_out = value is None and field.default is None
+            left_out = value is field.default and (value is None or value is False)
             left_out |= value == [] or value == SolverOptions()
             if field.init and not left_out:
                 given[field.name] = value

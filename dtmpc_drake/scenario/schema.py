@@ -9,13 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from dtmpc_drake.costs import Cost
+from dtmpc_drake.costs import Cost, Weight
 from dtmpc_drake.disturbances import Disturbance, UniformHold
 from dtmpc_drake.limits import InputRange, Limit, NormLimit, PositionLimit
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.models import ConstantUncertainty, DragDoubleIntegrator, Model
 from dtmpc_drake.numerics.arrays import Array, BoolArray
 from dtmpc_drake.obstacles import Obstacle, ObstacleSet
+
+DERIVATIVES = {"position": "m", "velocity": "m/s", "acceleration": "m/s²"}
+"""Fields of a `Waypoint` and of `StateWeights`, in order, and their units."""
 
 
 def _three(value: float) -> Any:
@@ -103,17 +106,74 @@ class Limits:
 
 
 @dataclasses.dataclass
-class Costs:
-    """Weights of the running cost uᵀQu + α̃ᵀRα̃ with α̃ = α - α_min.
+class Line:
+    """A straight line in the space of outputs.
 
     Attributes:
-        input: Q, times the identity.
-        bandwidth: R, times the identity.
+        point: any point of it, in m.
+        direction: of any length but zero.
+    """
+
+    point: list[float]
+    direction: list[float]
+
+
+@dataclasses.dataclass
+class StateWeights:
+    """Weights of how far x* is from the goal, derivative by derivative.
+
+    Each is a number (times the identity), a list (one a output) or a matrix; what is
+    left out costs nothing.
+
+    Attributes:
+        position: in 1/m².
+        velocity: in (s/m)².
+        acceleration: in (s²/m)², for models of order three.
+    """
+
+    position: Weight = 0.0
+    velocity: Weight = 0.0
+    acceleration: Weight = 0.0
+
+
+@dataclasses.dataclass
+class RunningStateWeights(StateWeights):
+    """The same at all times, from the goal or from a line.
+
+    Attributes:
+        line: if given, only what leads away from it costs: of the position its
+            distance from the line, of the velocity and the acceleration their parts
+            square to it.  To go along the line is free.
+    """
+
+    line: Line | None = None
+
+
+@dataclasses.dataclass
+class Costs:
+    """Weights of the cost, the paper's Problem 1.
+
+    ``∫ u*'Q u* + α̃'R α̃ + v'R_v v + x̂'Q_x x̂ dt + x̂(t_f)'R_f x̂(t_f)`` with
+    α̃ = α - α_min, v = dα/dt and x̂ = x* - x_goal.  Each weight is a number (times the
+    identity), a list (one number an input or output) or a symmetric positive
+    semi-definite matrix.
+
+    Attributes:
+        input: Q.
+        bandwidth: R.
+        bandwidth_rate: R_v.
+        state: Q_x, such as ``{position: 1.0, velocity: 0.1}``; or, for x̂ from a
+            line, ``{position: 1.0, line: {point: [0, 0, 1], direction: [0, 1, 0]}}``.
+        terminal: R_f, such as ``{position: 2.0}``.  What the goal has no `soft` for
+            is met, so that its weight charges nothing.
         own: any others, of registered classes; see `costs.Cost`.
     """
 
-    input: float = 2.0
-    bandwidth: float = 0.1
+    input: Weight = 2.0
+    bandwidth: Weight = 0.1
+    bandwidth_rate: Weight = 0.0
+    state: RunningStateWeights | None = None
+    terminal: StateWeights | None = None
     own: list[Cost] = dataclasses.field(default_factory=list)
 
 
@@ -125,11 +185,15 @@ class Waypoint:
         position: in m.
         velocity: in m/s.
         acceleration: in m/s², for models of order three.
+        soft: of a goal: which of these are no conditions, but only where
+            `cost.state` and `cost.terminal` draw to; true for all, or a list of names
+            such as ``[velocity]``.  What costs nothing either is free.
     """
 
     position: list[float] = _three(0.0)
     velocity: list[float] | None = None
     acceleration: list[float] | None = None
+    soft: bool | list[str] = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -312,7 +376,7 @@ class Scenario:
         limits: of input and speed.
         cost: weights.
         start: of the reference.
-        goal: of the reference, at the end.
+        goal: of the reference, at the end; see `Waypoint.soft`.
         initial_error: of the plant, relative to the start of the reference.
         duration: in s.
         obstacles: any mix of shapes.
@@ -414,6 +478,19 @@ class Scenario:
         """x*(t_f), shape ``(n, m)``."""
         return self._state(self.goal)
 
+    def soft_derivatives(self) -> tuple[int, ...]:
+        """Which rows of the goal are no conditions, in order."""
+        soft, rows = self.goal.soft, range(self.model.order)
+        if isinstance(soft, bool):
+            return tuple(rows) if soft else ()
+        names = [*DERIVATIVES]
+        return tuple(k for k in rows if k < len(names) and names[k] in soft)
+
+    @property
+    def goal_is_soft(self) -> bool:
+        """Whether a plan need not end at the goal's position."""
+        return 0 in self.soft_derivatives()
+
     def initial_error_state(self) -> Array:
         """x̃(t0), shape ``(n, m)``."""
         if self.initial_error is None:
@@ -429,7 +506,7 @@ class Scenario:
         return middle | self.plant
 
     def _state(self, waypoint: Waypoint) -> Array:
-        rows = [waypoint.position, waypoint.velocity, waypoint.acceleration]
+        rows = [getattr(waypoint, name) for name in DERIVATIVES]
         state = np.zeros((self.model.order, self.model.num_outputs))
         for k, row in enumerate(rows[: self.model.order]):
             if row is not None:

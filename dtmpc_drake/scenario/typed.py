@@ -34,8 +34,8 @@ _SCALARS: dict[Any, tuple[Any, str]] = {
     str: (str, "text"),
     bool: (bool, "true/false"),
 }
-_NESTED = "a number", "a list of numbers", "a matrix: a list of its rows"
-"""What a value is called by how deep its lists are nested."""
+_MANY = {float: "numbers", str: "names"}
+"""What the entries of a list are called."""
 
 
 def typed(schema: Any, value: Any, path: str) -> Any:
@@ -88,10 +88,19 @@ def _fitting(options: list[Any], value: Any, path: str) -> Any:
         return options[0]
     by_depth = {_depth(option): option for option in options}
     option = by_depth.get(_depth_of(value))
-    if option is None:
-        known = " or ".join(_NESTED[depth] for depth in sorted(by_depth))
+    if option is None or (option is bool and not isinstance(value, bool)):
+        known = " or ".join(_called(by_depth[depth]) for depth in sorted(by_depth))
         raise ScenarioError(path, value, known)
     return option
+
+
+def _called(schema: Any) -> str:
+    """What one of these types is called, by how deep its lists are nested."""
+    entry = schema
+    while typing.get_origin(entry) is list:
+        (entry,) = typing.get_args(entry)
+    each = f"a list of {_MANY.get(entry, 'entries')}"
+    return (_SCALARS[entry][1], each, "a matrix: a list of its rows")[_depth(schema)]
 
 
 def _depth(schema: Any) -> int:
@@ -102,7 +111,9 @@ def _depth(schema: Any) -> int:
 
 def _depth_of(value: Any) -> int:
     """The same of a value."""
-    if not isinstance(value, (list, tuple, np.ndarray)):
+    if isinstance(value, np.ndarray):
+        return value.ndim
+    if not isinstance(value, (list, tuple)):
         return 0
     return 1 + (_depth_of(value[0]) if len(value) else 0)
 

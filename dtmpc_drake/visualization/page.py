@@ -100,6 +100,7 @@ def legend_html(
         "box_color": BLUE,
         "obstacle_color": GREY,
         "goal_color": GREEN,
+        "goal": "soft goal (pole)" if scenario.goal_is_soft else "goal",
         "grid": f"{grid_spacing(high - low):g}",
         "obstacles_shown": "" if scenario.obstacles else "hidden",
         "ghosts_shown": "" if flight.found else "hidden",

@@ -31,6 +31,7 @@ from dtmpc_drake.visualization.style import (
     GHOST,
     GREEN,
     GREY,
+    PALE_GREEN,
     VERMILION,
     ColorBy,
     Coloring,
@@ -39,6 +40,8 @@ from dtmpc_drake.visualization.style import (
 
 ROOT = "/dtmpc"
 """Everything drawn here is below this path."""
+POLE = 1.0
+"""By how much the pole of a goal that need not be met is above it, in m."""
 FLAT = 0.04
 """Half-thickness along axes that the vehicle does not have, in m."""
 
@@ -151,14 +154,19 @@ def add_field(
         Rgba(0.82, 0.83, 0.84),
     )
     E = embedding(scenario.model.num_outputs)
-    for name, state in (
-        ("start", scenario.start_state()),
-        ("goal", scenario.goal_state()),
+    for name, state, color in (
+        ("start", scenario.start_state(), GREEN),
+        ("goal", scenario.goal_state(), PALE_GREEN if scenario.goal_is_soft else GREEN),
     ):
         where = E @ state[0]
         where[2] = z
-        meshcat.SetObject(f"{ROOT}/field/{name}", Cylinder(0.3, 0.01), rgba(GREEN))
+        meshcat.SetObject(f"{ROOT}/field/{name}", Cylinder(0.3, 0.01), rgba(color))
         meshcat.SetTransform(f"{ROOT}/field/{name}", RigidTransform(where))
+    if scenario.goal_is_soft:  # its disc may be hidden by the tube's end
+        height = (E @ scenario.goal_state()[0])[2] + POLE - z
+        pole = f"{ROOT}/field/goal/pole"
+        meshcat.SetObject(pole, Cylinder(0.04, height), rgba(PALE_GREEN))
+        meshcat.SetTransform(pole, RigidTransform([0.0, 0.0, height / 2]))
 
 
 def grid_spacing(size: FloatArray) -> float:

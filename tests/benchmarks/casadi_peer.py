@@ -240,10 +240,10 @@ class Peer:
             program.add(ca.sum1(offset**2) - reach**2, low=0.0)
 
         u = a + drag * _rows(_norm(v)) * v
-        weight = sum(c.weight for c in p.costs if isinstance(c, InputCost))
-        running = weight * ca.sum1(u**2)
+        weights = [c.weight for c in p.costs if isinstance(c, InputCost)]
+        running = sum(float(np.asarray(w)) for w in weights) * ca.sum1(u**2)
         excess = alpha - p.bandwidth_cost.floor
-        running += p.bandwidth_cost.weight * ca.sum1(excess**2)
+        running += float(np.asarray(p.bandwidth_cost.weight)) * ca.sum1(excess**2)
         cost = running @ ca.DM(self.transcription.weights)
 
         self._finish(program, cost, inflation, [c.T, alpha.T, feedback])

@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from pydrake.solvers import IpoptSolver, MathematicalProgram, SolverOptions
 
-from dtmpc_drake.costs import InputCost
+from dtmpc_drake.costs import Cost
 from dtmpc_drake.limits import ConvexLimit, LinearLimit, SampledLimit
 from dtmpc_drake.logs import muted
 from dtmpc_drake.numerics.arrays import Array
@@ -86,18 +86,14 @@ class _Program:
     def __init__(
         self, transcription: Transcription, guess: Iterate, correction: Array
     ) -> None:
-        tr, p = transcription, transcription.problem
+        tr = transcription
         self.transcription, self._guess = tr, guess
         self.layout = layout = NlpVariables(tr, planes=len(guess.planes.piece))
         self.program = MathematicalProgram()
         self.x = self.program.NewContinuousVariables(layout.size, "x")
         self.scale = np.ones(layout.size)
         self.scale[layout.blocks["states"]] = STATE_SCALE
-        # The cost weighs all decisions alike.
-        of_input = sum(c.weight for c in p.costs if isinstance(c, InputCost))
-        weights = np.array([of_input, p.bandwidth_cost.weight])
-        alike = np.sqrt(np.divide(*weights)) if weights.all() else 1.0
-        self.scale[layout.blocks["bandwidth"]] = alike
+        self.scale[layout.blocks["bandwidth"]] = self._alike()
         self._exact = layout.pack(tr, guess)
         self._none, self._shift = np.zeros((2, layout.size))
         self._shift[layout.blocks["states"]] = correction.ravel()
@@ -179,7 +175,7 @@ class _Program:
         tr, p, layout = self.transcription, self.transcription.problem, self.layout
         m = tr.outputs
         ends = [(0, k, p.start[k]) for k in range(tr.order)]
-        ends += [(-1, k, p.goal[k]) for k in tr.ends.goal_rows]
+        ends += [(-1, k, p.goal[k]) for k in p.goal_rows]
         for knot, k, wanted in ends:
             rows = layout.local_matrix[k * m : (k + 1) * m]
             for row, value in zip(rows, wanted, strict=True):
@@ -265,24 +261,59 @@ class _Program:
             high += margin[piece, control, column] - tr.options.backoff
             self._add_row(columns, row, -np.inf, high)
 
+    def _alike(self) -> float:
+        """A unit of bandwidth, for the cost to weigh all decisions alike."""
+        tr, p = self.transcription, self.transcription.problem
+        slopes = tr.residual_slopes(self._guess.local, p.costs, tr.options.secant)
+        by_highest = slopes[:, :, tr.order * tr.outputs :]
+        of_highest = 2 * (by_highest**2).sum(axis=1).mean()
+        of_rate = p.bandwidth_cost.rate_hessian(tr.outputs, tr.step) / tr.step
+        of_bandwidth = np.diag(p.bandwidth_cost.hessian(tr.outputs)).mean()
+        of_bandwidth += np.diag(of_rate).mean()
+        if min(of_highest, of_bandwidth) > 0:
+            return float(np.sqrt(of_highest / of_bandwidth))
+        return 1.0
+
     def _add_cost(self) -> None:
         tr, p = self.transcription, self.transcription.problem
+        everywhere = np.arange(tr.intervals + 1)
+        self._add_squares(p.costs, everywhere, tr.weights)
+        if p.terminal:
+            self._add_squares(p.terminal, everywhere[-1:], np.ones(1))
+        m, cost = tr.outputs, p.bandwidth_cost
+        floor = np.full(m, cost.floor)
+        for k, weight in enumerate(tr.weights):
+            columns = self.layout.alpha_columns[k]
+            self._add_quadratic(columns, weight * cost.hessian(m), floor)
+        if cost.charges_rate:
+            alpha, hessian = self.layout.alpha_columns, cost.rate_hessian(m, tr.step)
+            for columns in np.concatenate([alpha[:-1], alpha[1:]], axis=1):
+                self._add_quadratic(columns, hessian, np.zeros(2 * m))
+
+    def _add_squares(self, costs: Sequence[Cost], knots: Array, weights: Array) -> None:
+        """Of the residuals of some costs at some knots."""
+        tr = self.transcription
 
         def residuals(local: Local) -> Array:
-            excess = local.bandwidth - p.bandwidth_cost.floor
-            return np.concatenate([tr.residuals(local), excess], axis=-1)
+            return tr.residuals(local, costs)
 
-        own = tr.residuals(self._guess.local).shape[-1]
-        each = np.append(np.ones(own), np.full(tr.outputs, p.bandwidth_cost.weight))
-        weights = tr.weights[:, None] * each
-        for knots in _blocks(np.arange(tr.intervals + 1)):
+        for some in _blocks(np.arange(len(knots))):
+            rows = AtKnots(tr, self.layout, knots[some], residuals)
+            count = len(rows.columns) // len(some)
             add_squares(
                 self.program,
-                AtKnots(tr, self.layout, knots, residuals),
+                rows,
                 self.x,
                 scale=self.scale,
-                weights=weights[knots].ravel(),
+                weights=weights[some].repeat(count),
             )
+
+    def _add_quadratic(self, columns: Array, hessian: Array, middle: Array) -> None:
+        """``½ (z - middle)'H (z - middle)``."""
+        scale = self.scale[columns]
+        self.program.AddQuadraticErrorCost(
+            scale[:, None] * hessian / 2 * scale, middle / scale, self.x[columns]
+        )
 
     def solve(self, deadline: Deadline) -> tuple[Array, bool, str]:
         """Solves for z; success and status."""

@@ -69,7 +69,7 @@ def consistency_margins(plan: Plan, problem: Problem) -> dict[str, Margin]:
     rows = [f"y*^({k}) on axis {i}" for k in range(n) for i in range(m)]
     ends = plan.reference(time)[:, :n]
     missing = np.abs(ends - np.stack([problem.start, problem.goal]))
-    missing[1] = np.where(np.isnan(problem.goal), 0.0, missing[1])
+    missing[1, [k for k in range(n) if k not in problem.goal_rows]] = 0.0
     left = END_TOLERANCE - missing.reshape(2, -1)
     margins["ends"] = smallest(time, left, "", rows)
 

@@ -31,10 +31,13 @@ from dtmpc_drake.planning.scp.limit_rows import (
 )
 from dtmpc_drake.planning.scp.rows import ZERO, Rows
 from dtmpc_drake.planning.scp.sensitivity import transitions
-from dtmpc_drake.planning.transcription import Transcription
+from dtmpc_drake.planning.transcription import LAST, Transcription
 
 NEXT_TO_NOTHING = 1e-4
 """Weight of moves, which are bounded from below only."""
+RATE = "bandwidth_rate"
+BLOCKS = {RATE: "bandwidth"}
+"""Of the variables that a cost is of, where it is not called so itself."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,7 +137,7 @@ class Program:
         n, m, local = tr.order, tr.outputs, iterate.local
         layer = slice((n + 1) * m, (n + 2) * m)
         wanted = [(0, slice(0, n * m), (p.start - local.state[0]).ravel())]
-        for k in tr.ends.goal_rows:
+        for k in p.goal_rows:
             missing = p.goal[k] - local.state[-1, k]
             wanted.append((-1, slice(k * m, (k + 1) * m), missing))
         if p.start_highest is not None:
@@ -230,8 +233,9 @@ class Program:
         m, N, width = tr.outputs, tr.intervals, tr.degree * tr.outputs
         scale = np.sqrt(tr.weights)[:, None]
         self._residual = scale * tr.residuals(iterate.local)
-        by_local = self._residual_slopes(iterate.local, shape.secant)
-        self._slopes = scale[..., None] * (by_local @ v.local_matrix[:, :width])
+        by_knot = v.local_matrix[: (tr.order + 1) * m, :width]
+        by_state = tr.residual_slopes(iterate.local, p.costs, shape.secant)
+        self._slopes = scale[..., None] * (by_state @ by_knot)
         square = 2 * (self._slopes.swapaxes(1, 2) @ self._slopes)
         gradient = 2 * (self._residual[:, None] @ self._slopes)[:, 0]
         # Knots read what acts on the piece after them, and the last one before it.
@@ -240,6 +244,14 @@ class Program:
         quadratic[:, :width, :width], linear[:, :width] = square[:-1], gradient[:-1]
         quadratic[-1, m:, m:] += square[-1]
         linear[-1, m:] += gradient[-1]
+        self._last: tuple[Array, Array] | None = None
+        if p.terminal:
+            last = iterate.local.at(LAST)
+            (residual,) = tr.residuals(last, p.terminal)
+            (slopes,) = tr.residual_slopes(last, p.terminal, shape.secant) @ by_knot
+            quadratic[-1, m:, m:] += 2 * slopes.T @ slopes
+            linear[-1, m:] += 2 * residual @ slopes
+            self._last = residual, slopes
         if p.model.error_bound_varies:
             prices = self.multipliers
             quadratic += sampled_curvature(tr, iterate, prices)
@@ -258,29 +270,20 @@ class Program:
             linear=linear,
             diagonal=2 * (shape.proximity + 1e-9),
         )
-        self._weight = p.bandwidth_cost.weight * tr.weights[:, None]
-        self._excess = iterate.bandwidth - p.bandwidth_cost.floor
+        self._bandwidth = iterate.bandwidth
+        hessian = tr.weights[:, None, None] * p.bandwidth_cost.hessian(m)
+        excess = iterate.bandwidth - p.bandwidth_cost.floor
         self._solver.set_cost(
             "bandwidth",
-            quadratic=2 * self._weight[..., None] * np.eye(m),
-            linear=2 * self._weight * self._excess,
+            quadratic=hessian,
+            linear=(hessian @ excess[..., None])[..., 0],
             diagonal=2 * shape.proximity,
         )
+        if p.bandwidth_cost.charges_rate:
+            of_rate = p.bandwidth_cost.rate_hessian(m, tr.step)
+            ends = np.concatenate([iterate.bandwidth[:-1], iterate.bandwidth[1:]], 1)
+            self._solver.set_cost(RATE, quadratic=of_rate, linear=ends @ of_rate)
         self._solver.set_slack_cost(shape.penalty)
-
-    def _residual_slopes(self, local: Local, secant: float) -> Array:
-        """Of all costs' residuals, by `Local.pack`, ``(K, r, L)``."""
-        p, size = self.transcription.problem, local.state[0].size
-        found = []
-        for cost in p.costs:
-            by_state, by_highest = cost.slopes(
-                p.law, local.state, local.highest, secant
-            )
-            slopes = np.zeros((*by_state.shape[:2], len(self.variables.local_matrix)))
-            slopes[:, :, :size] = by_state
-            slopes[:, :, size : size + by_highest.shape[2]] = by_highest
-            found.append(slopes)
-        return np.concatenate(found, axis=1)
 
     def solve(self, deadline: Deadline = NEVER) -> tuple[Array | None, str]:
         """The step z, or None, and the solver's status."""
@@ -341,11 +344,16 @@ class Program:
     def model_cost(self, z: Array) -> float:
         """The program's idea of the cost after a step."""
         blocks = self.variables.blocks
+        tr, cost = self.transcription, self.transcription.problem.bandwidth_cost
         moves = z[self.variables.knot_columns[:, : self._slopes.shape[2]]]
         u = self._residual + (self._slopes @ moves[..., None])[..., 0]
-        bandwidth = z[blocks["bandwidth"]].reshape(self._excess.shape)
-        excess = self._excess + bandwidth
-        return float((u**2).sum() + (self._weight * excess**2).sum())
+        bandwidth = z[blocks["bandwidth"]].reshape(self._bandwidth.shape)
+        running = cost.running(self._bandwidth + bandwidth, tr.step)
+        total = (u**2).sum() + tr.weights @ running
+        if self._last is not None:
+            residual, slopes = self._last
+            total += ((residual + slopes @ moves[-1]) ** 2).sum()
+        return float(total)
 
     def decisions(self, iterate: Iterate, z: Array) -> Decisions:
         """Coefficients and bandwidth after a whole step."""
@@ -380,10 +388,12 @@ def program_layout(transcription: Transcription, variables: Variables) -> Layout
         "moves": (moves, moves, N + 1),
         "rotation": (v.tangents, v.tangents, v.num_planes),
     }
+    if tr.problem.bandwidth_cost.charges_rate:
+        costs[RATE] = (2 * m, m, N)
     if tr.problem.model.error_bound_varies:
         costs["states"] = (2 * S, S, N)
     windows = [
-        (name, Window(v.blocks[name].start, *shape))
+        (name, Window(v.blocks[BLOCKS.get(name, name)].start, *shape))
         for name, shape in costs.items()
         if all(shape)
     ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -26,6 +27,7 @@ from dtmpc_drake.visualization.geometry import obstacle_sections, swept_boxes
 from dtmpc_drake.visualization.style import (
     BLACK,
     EDGE,
+    GREEN,
     GREY,
     PALE_BLUE,
     ColorBy,
@@ -38,6 +40,15 @@ PERIOD = 0.025
 """Between two samples of a drawn plan, in s."""
 WIDTH = 10.0
 """Of a figure, in inches."""
+
+_GOAL: dict[str, Any] = {
+    "ls": "",
+    "marker": "X",
+    "ms": 8.0,
+    "color": GREEN,
+    "mec": "white",
+    "zorder": 5,
+}
 
 Window = tuple[FloatArray, FloatArray]
 """Two corners of what is seen, ``(2,)`` each, in m."""
@@ -54,6 +65,7 @@ class View:
         coloring: of the samples.
         obstacles: sections (None if passed above or below) and silhouettes.
         clouds: flights, in the vehicle's own order of axes.
+        goal: its position, ``(m,)``, where a plan need not end there.
     """
 
     samples: dict[str, FloatArray]
@@ -61,6 +73,7 @@ class View:
     coloring: Coloring
     obstacles: list[tuple[Outline | None, Outline]]
     clouds: Sequence[Cloud] = ()
+    goal: FloatArray | None = None
 
     @classmethod
     def of(
@@ -76,7 +89,7 @@ class View:
         """A look at a plan with two outputs or more.
 
         Args:
-            scenario: gives the obstacles.
+            scenario: gives the obstacles, and a goal that is soft.
             plan: a plan, or an infeasible attempt.
             color_by: ``bandwidth`` or ``speed``.
             among: plans that share their colours.
@@ -92,6 +105,7 @@ class View:
             coloring=Coloring.along(plan, samples["time"], color_by, among),
             obstacles=obstacle_sections(scenario.obstacle_set(), position, tube),
             clouds=clouds,
+            goal=scenario.goal_state()[0] if scenario.goal_is_soft else None,
         )
 
     @property
@@ -120,6 +134,11 @@ class View:
             if (a < high + reach).all() and (b > low - reach).all():
                 lows.append(np.maximum(a, low - reach))
                 highs.append(np.minimum(b, high + reach))
+        if self.goal is not None:
+            goal = self.seen(self.goal)
+            if (goal < high + reach).all() and (goal > low - reach).all():
+                lows.append(goal)
+                highs.append(goal)
         low, high = np.min(lows, axis=0), np.max(highs, axis=0)
         margin = 0.012 * float((high - low).max())
         return low - margin, high + margin
@@ -162,6 +181,8 @@ class View:
             colored_line(axes, self.center, self.coloring, width)
         else:
             axes.plot(*self.center.T, color=BLACK, lw=width, zorder=4)
+        if self.goal is not None:
+            axes.plot(*self.seen(self.goal), **_GOAL)
         low, high = window
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])
@@ -215,6 +236,8 @@ def add_legend(
     handles += [cloud.handle() for cloud in clouds]
     if scenario.obstacles:
         handles.append(Patch(fc=GREY, ec=EDGE, label="obstacle"))
+    if scenario.goal_is_soft:
+        handles.append(Line2D([], [], label="soft goal", **_GOAL))
     # As many in a row as the figure is wide; several rows are alike.
     rows = math.ceil(len(handles) / int(0.7 * figure.get_figwidth()))
     figure.legend(
