@@ -131,8 +131,8 @@ def test_a_plan_that_breaks_a_limit_does_so_in_every_unit(planned):
         for name in first.broken:
             unit = unit_of(first.margins[name].unit, length=length, time=time)
             wanted = first.margins[name].value * unit
-            # The speed limit says how long the own unit of length is.
-            assert got.margins[name].value == pytest.approx(wanted, rel=5e-3, abs=1e-3 * unit)
+            # A hopeless plan is proven no finer, sooner or later by the units.
+            assert got.margins[name].value == pytest.approx(wanted, rel=0.02)
 
 
 # Every other thing that has a unit.
