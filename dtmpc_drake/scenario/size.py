@@ -97,6 +97,7 @@ def certificate_intervals(scenario: Scenario) -> int:
     units = Units.own(
         speed=scenario.limits.fastest,
         slope=scenario.slope(),
+        bandwidth=scenario.controller.bandwidth.interval()[1],
         order=scenario.model.order,
     )
     duration = scenario.duration / units.time
