@@ -221,7 +221,7 @@ class ConvexLimit(Limit):
     @property
     @abc.abstractmethod
     def derivative(self) -> int:
-        """k, at most n."""
+        """k, at most n_i of every output that the limit looks at."""
 
     @property
     @abc.abstractmethod
@@ -254,7 +254,8 @@ class ConvexLimit(Limit):
     def margins(self, law: SlidingLaw, at: Instant) -> Array:
         """See base class."""
         k = self.derivative
-        return self.left(at.derivative(k), deviation_bound(law, at, k))
+        value = law.chains.derivative_of(at.state, at.highest, k)
+        return self.left(value, deviation_bound(law, at, k))
 
     def flown(self, state: Array, control: Array) -> Array | None:
         """See base class."""

@@ -9,6 +9,7 @@ about 2, whatever units a user has.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -35,17 +36,21 @@ class Units:
     cost: float = 1.0
 
     @classmethod
-    def own(cls, *, speed: float, slope: Array, order: int) -> Units:
+    def own(cls, *, speed: float, slope: Array, orders: Sequence[int]) -> Units:
         """Those of a problem.
 
-        The cost goes with them, so that a weight of the input stays what it is.
+        The cost goes with them, so that a weight of the input stays what it is.  Where
+        outputs differ in their order the unit of time is the user's: in another one
+        their inputs, of which there may be norms, would no longer be so large as each
+        other.
 
         Args:
             speed: the largest that is allowed along an axis.
             slope: λ, ``(m,)``.
-            order: n.
+            orders: n_i of every output.
         """
-        time = _unless_near(SLOPE / float(np.mean(slope)))
+        order, alike = max(orders), min(orders) == max(orders)
+        time = _unless_near(SLOPE / float(np.mean(slope))) if alike else 1.0
         length = _unless_near(speed * time / SPEED)
         return cls(length, time, (length / time**order) ** 2 * time)
 

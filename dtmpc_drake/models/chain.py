@@ -22,11 +22,18 @@ class IntegratorChain(Model):
         num_outputs: m.
         order: n.
         error_bound: Δ, one number for all outputs, in output unit / s^n.
+        orders: n_i of each output, if they differ; m and n follow from them.
     """
 
     num_outputs: int = 3
     order: int = 2
     error_bound: float = 0.0
+    orders: list[int] | None = None
+
+    def __post_init__(self) -> None:
+        """Takes m and n from the orders, if they are given."""
+        if self.orders:
+            self.num_outputs, self.order = len(self.orders), max(self.orders)
 
     # The true model error of every output, in output unit / s^n.
     parameter_names = ("model_error",)

@@ -27,7 +27,7 @@ class ConstantUncertainty(Model):
         self.covers = covers
         self.bound = np.asarray(bound, dtype=float)
         self.num_outputs = model.num_outputs
-        self.order = model.order
+        self.order, self.orders = model.order, model.orders
         self.parameter_names = model.parameter_names
 
     def drift(self, x: Array) -> Array:

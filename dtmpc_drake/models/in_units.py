@@ -11,7 +11,8 @@ from dtmpc_drake.numerics.arrays import Array
 class InUnits(Model):
     """Another model in units in which its own are so large.
 
-    Inputs count in the unit of the n-th derivative, so that B is what it was.
+    Inputs count in the unit of the n-th derivative, so that B is what it was.  That
+    asks for outputs of one order, or for a unit of time that is the user's.
 
     Args:
         model: in the user's units.
@@ -21,7 +22,8 @@ class InUnits(Model):
 
     def __init__(self, model: Model, rows: Array) -> None:
         self.model = model
-        self.num_outputs, self.order = model.num_outputs, model.order
+        self.num_outputs = model.num_outputs
+        self.order, self.orders = model.order, model.orders
         self.parameter_names = model.parameter_names
         self._state, self._highest = rows[:-1], float(rows[-1, 0])
 

@@ -323,7 +323,10 @@ def without_tube(problem: Problem) -> Problem:
         ),
         bandwidth=problem.bandwidth.at(problem.bandwidth_cost.floor),
         tube_start=TubeStart.of_error(
-            np.zeros_like(problem.start), nothing + VANISHING, law.slope
+            np.zeros_like(problem.start),
+            nothing + VANISHING,
+            law.slope,
+            law.chains,
         ),
     )
 

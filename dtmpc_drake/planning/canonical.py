@@ -25,7 +25,9 @@ def canonical(problem: Problem) -> Problem:
     law, n = problem.law, problem.law.order
     if not problem.units.are_the_users:
         return problem
-    units = Units.own(speed=problem.speed.size, slope=law.slope, order=n)
+    units = Units.own(
+        speed=problem.speed.size, slope=law.slope, orders=law.chains.orders
+    )
     if units.are_the_users:
         return problem
     rows, highest = units.of_rows(n), units.of(n)
@@ -88,4 +90,5 @@ def plan_in_units(plan: Plan, units: Units) -> Plan:
         layer_coefficients=divided(plan.layer_coefficients, units.of(n - 1)),
         bound_samples=plan.bound_samples / rows,
         bound_rate_samples=plan.bound_rate_samples / rows * time,
+        orders=plan.orders,
     )

@@ -105,11 +105,12 @@ def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Ma
     thinnest = enclosure.layer.derivatives[:, 0] - enclosure.layer.radius(0)
     thinnest = thinnest * units.of(n - 1)
     margins["boundary_layer"] = smallest(time, thinnest, "m/s", "axis")
-    tolerance = np.full((n, 1), TUBE_TOLERANCE)
-    tolerance[-1] = TOP_TOLERANCE if n > 1 else TUBE_TOLERANCE
-    left = enclosure.claim_excess + tolerance
-    bounds = [f"bound {k} on axis {i}" for k in range(n) for i in range(left.shape[2])]
-    margins["tube"] = smallest(time, left.reshape(len(time), -1), "", bounds)
+    chains = problem.law.chains
+    tolerance = np.full(chains.exists.shape, TUBE_TOLERANCE)
+    chains.set_top(tolerance, TOP_TOLERANCE if n > 1 else TUBE_TOLERANCE)
+    left = chains.pack(enclosure.claim_excess + tolerance)
+    bounds = [f"bound {k} on axis {i}" for k, i in np.argwhere(chains.exists)]
+    margins["tube"] = smallest(time, left, "", bounds)
     margins |= consistency_margins(plan, problem)
     for limit in problem.other_limits:
         for name, margin in limit.certify(enclosure).items():
