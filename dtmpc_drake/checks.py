@@ -36,11 +36,20 @@ class Setting:
         num_outputs: m, of the model.
         order: n, of the model.
         duration: of the scenario, in s.
+        num_positions: of the outputs that say where it is; all if left out.
     """
 
     num_outputs: int
     order: int
     duration: float
+    num_positions: int | None = None
+
+    @property
+    def place(self) -> Setting:
+        """The same for what lives in the space of these outputs alone."""
+        if self.num_positions is None:
+            return self
+        return dataclasses.replace(self, num_outputs=self.num_positions)
 
 
 class Part:

@@ -60,7 +60,7 @@ class Chains:
     @classmethod
     def of(cls, model: Model) -> Chains:
         """Those of a model."""
-        if model.orders is None:
+        if not model.orders:
             return cls((model.order,) * model.num_outputs)
         return cls(tuple(model.orders))
 
@@ -71,7 +71,7 @@ class Chains:
 
     @property
     def num_outputs(self) -> int:
-        """m."""
+        """M, the number of outputs."""
         return len(self.orders)
 
     @cached_property
@@ -125,6 +125,13 @@ class Chains:
     def top(self, rows: Array) -> Array:
         """The rows n_i - 1 of states, ``(..., m)``."""
         return self._row(rows, self.order - 1, self.each - 1)
+
+    def set_row(self, rows: Array, values: Array) -> None:
+        """Writes the rows n_i - 1 of states, in place."""
+        if self.are_alike:
+            rows[..., -1, :] = values
+        else:
+            rows[..., self.each - 1, np.arange(self.num_outputs)] = values
 
     def set_top(self, rows: Array, values: Array | float) -> None:
         """Writes the rows n_i - 1 of states where they are not the first, in place."""

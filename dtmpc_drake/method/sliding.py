@@ -32,9 +32,7 @@ def _weighted_sum(weights: Array, rows: Array) -> Array:
     return np.asarray(sum(terms[1:], start=terms[0]) if terms else rows.sum(axis=-2))
 
 
-def sliding_variable(
-    error: Array, slope: Array, chains: Chains | None = None
-) -> Array:
+def sliding_variable(error: Array, slope: Array, chains: Chains | None = None) -> Array:
     """S = (d/dt + λ)^(n-1) ỹ  (eq. s), shape ``(..., m)``.
 
     Args:

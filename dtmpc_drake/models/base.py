@@ -28,6 +28,9 @@ class Model(Part, abc.ABC):
     orders: Sequence[int] | None = None
     """n_i, the order of each output; None if all are `order`.  States have the rows
     of the largest, and those that an output does not have are zero."""
+    num_positions: int | None = None
+    """So many outputs, the first ones, say where it is: obstacles are in their space.
+    Others, such as a heading, no obstacle sees.  All are such if None."""
     parameter_names: tuple[str, ...] = ()
     """Names of the parameters of the true plant."""
     length_unit: str = "m"

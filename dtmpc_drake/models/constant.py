@@ -28,6 +28,7 @@ class ConstantUncertainty(Model):
         self.bound = np.asarray(bound, dtype=float)
         self.num_outputs = model.num_outputs
         self.order, self.orders = model.order, model.orders
+        self.num_positions = model.num_positions
         self.parameter_names = model.parameter_names
 
     def drift(self, x: Array) -> Array:

@@ -24,6 +24,7 @@ class InUnits(Model):
         self.model = model
         self.num_outputs = model.num_outputs
         self.order, self.orders = model.order, model.orders
+        self.num_positions = model.num_positions
         self.parameter_names = model.parameter_names
         self._state, self._highest = rows[:-1], float(rows[-1, 0])
 

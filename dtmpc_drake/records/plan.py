@@ -97,7 +97,7 @@ class Plan:
     @cached_property
     def chains(self) -> Chains:
         """The orders of the outputs."""
-        return Chains(tuple(map(int, np.ravel(self.orders))))
+        return Chains(tuple(map(int, np.asarray(self.orders))))
 
     @property
     def is_uniform(self) -> bool:
