@@ -215,7 +215,7 @@ class Chains:
         if self.are_alike:
             return flat.reshape(*lead, *shape)
         # Zeros of the same kind, of which functions may be taken.
-        zero = np.zeros(1) if flat.dtype != object else 0 * flat[..., :1]
+        zero = 0.0 if flat.dtype != object else type(flat.flat[0])(0.0)
         state = np.empty((*lead, self.order * self.num_outputs), dtype=flat.dtype)
         state[...] = zero
         state[..., self._index] = flat

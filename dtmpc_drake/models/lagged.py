@@ -65,10 +65,9 @@ class LaggedMultirotor(Model):
         return self.true_drift(x, {"drag": self.drag_estimate, "yaw_bias": 0.0})
 
     def true_drift(self, x: Array, parameters: Mapping[str, Any]) -> Array:
-        """F."""
-        drag, bias = (
-            np.asarray(parameters[name])[..., None] for name in self.parameter_names
-        )
+        """F; parameters that are left out are what the model takes them for."""
+        known = {"drag": self.drag_estimate, "yaw_bias": 0.0, **parameters}
+        drag, bias = (np.asarray(known[name])[..., None] for name in known)
         v, a, climb = x[..., 1, :2], x[..., 2, :2], x[..., 1, 2:3]
         speed = euclidean_norm(v)[..., None]
         along = (v * a).sum(axis=-1)[..., None] / speed
