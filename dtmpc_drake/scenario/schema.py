@@ -54,7 +54,8 @@ class Controller:
 
     Attributes:
         slope: λ of the sliding surface on every output, in 1/s.
-        reaching_rate: η, in m/s².
+        reaching_rate: η, in m/s², one number for all outputs: in the unit of each
+            one's own highest derivative.
         initial_boundary_layer: Φ(t0), in m/s.
         bandwidth: bounds of α.
     """
@@ -415,8 +416,9 @@ class Scenario:
         return model
 
     def obstacle_set(self) -> ObstacleSet:
-        """The obstacles as stacked arrays."""
-        return ObstacleSet.stack(self.obstacles, self.model.num_outputs)
+        """The obstacles as stacked arrays, as they are seen by all outputs."""
+        model = self.model
+        return ObstacleSet.stack(self.obstacles, model.num_outputs, model.num_positions)
 
     def known_from(self) -> Array:
         """When each obstacle is known whatever the sensor sees, ``(o,)``, in s."""

@@ -31,6 +31,7 @@ import numpy as np
 
 from dtmpc_drake.disturbances.base import DISTURBANCES, LOOK
 from dtmpc_drake.errors import ScenarioError, require
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.method.units import Units
 from dtmpc_drake.scenario.schema import Scenario
 
@@ -98,7 +99,7 @@ def certificate_intervals(scenario: Scenario) -> int:
         speed=scenario.limits.fastest,
         slope=scenario.slope(),
         bandwidth=scenario.controller.bandwidth.interval()[1],
-        order=scenario.model.order,
+        orders=Chains.of(scenario.model).orders,
     )
     duration = scenario.duration / units.time
     longest = max(5e-4, min(16e-3, duration / 2**19))

@@ -237,7 +237,7 @@ def add_tube(
         capped: whether the tube's ends are closed.
     """
     time = plan.sample_times(drawn_period(plan, _TUBE_PERIOD))
-    reference = plan.reference(time) @ embedding(plan.num_outputs).T
+    reference = plan.derivatives(time) @ embedding(plan.num_outputs).T
     half_axes = plan.position_tube(time) @ embedding(plan.num_outputs).T
     half_axes = half_axes + FLAT * missing_axes(plan.num_outputs)
     position, velocity = reference[:, 0], reference[:, 1]

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from dtmpc_drake.limits import flown
 from dtmpc_drake.method.sliding import sliding_variable
 from dtmpc_drake.method.tightening import Instant, deviation_bound, input_bound
 from dtmpc_drake.numerics.arrays import Array, FloatArray
@@ -72,7 +73,8 @@ def plot_histories(
         _draw_planned(scenario, planned, column, i)
         if flight is not None:
             error = flight.state - plan.reference(flight.time)[:, :n]
-            _draw_flown(flight, error, scenario.slope(), column, i)
+            s = sliding_variable(error, scenario.slope(), plan.chains)[:, i]
+            _draw_flown(flight, error, s, column, i, plan.chains.orders[i])
         column["speed"].set_ylim(bottom=0.0)
     _draw_planned_input(scenario, planned, bottom)
     if flight is not None:
@@ -92,7 +94,9 @@ def plot_histories(
     for limit, left, axes in zip(others, planned.others, bottoms[1:], strict=True):
         axes.axhline(0.0, **_LIMIT)
         axes.plot(planned.time, left, **_TIGHTENED)
-        seen = None if flight is None else limit.flown(flight.state, flight.control)
+        seen = None
+        if flight is not None:
+            seen = flown(limit, plan.chains, flight.state, flight.control)
         if flight is not None and seen is not None:
             axes.plot(flight.time, seen.min(axis=-1), **_FLOWN)
         unit = limit.unit(scenario.sliding_law())
@@ -126,7 +130,7 @@ class _Planned:
 
     Attributes:
         time: ``(K,)``, in s.
-        reference: y* and its derivatives, ``(K, n + 1, m)``.
+        velocity: dy*/dt, ``(K, m)``.
         bandwidth: α, ``(K, m)``.
         error_bound: R_k, ``(K, n, m)``.
         boundary_layer: Φ, ``(K, m)``.
@@ -138,7 +142,7 @@ class _Planned:
     """
 
     time: FloatArray
-    reference: FloatArray
+    velocity: FloatArray
     bandwidth: FloatArray
     error_bound: FloatArray
     boundary_layer: FloatArray
@@ -158,7 +162,7 @@ class _Planned:
         at = Instant(state, highest, law.gain(state, layer_rate), error_bound)
         return cls(
             time=time,
-            reference=reference,
+            velocity=plan.derivatives(time)[:, 1],
             bandwidth=plan.bandwidth(time),
             error_bound=error_bound,
             boundary_layer=layer,
@@ -215,7 +219,7 @@ def _draw_planned(
     panel, limit = panels["speed"], scenario.limits.speed_along(i)
     panel.axhline(limit, **_LIMIT)
     panel.plot(time, limit - planned.rate_bound[:, i], **_TIGHTENED)
-    panel.plot(time, np.abs(planned.reference[:, 1, i]), **_PLANNED)
+    panel.plot(time, np.abs(planned.velocity[:, i]), **_PLANNED)
 
 
 def _draw_planned_input(scenario: Scenario, planned: _Planned, panel: Axes) -> None:
@@ -228,21 +232,22 @@ def _draw_planned_input(scenario: Scenario, planned: _Planned, panel: Axes) -> N
 
 
 def _draw_flown(
-    flight: Flight, error: Array, slope: Array, panels: dict[str, Axes], i: int
+    flight: Flight, error: Array, s: Array, panels: dict[str, Axes], i: int, order: int
 ) -> None:
     """Draws one output of a flight into the panels of its column.
 
     Args:
         flight: to draw.
         error: x̃, ``(K, n, m)``.
-        slope: λ, ``(m,)``.
+        s: the sliding variable of the output, ``(K,)``.
         panels: by name.
         i: the output.
+        order: of the output.
     """
     panels["error"].plot(flight.time, error[:, 0, i], **_FLOWN)
-    if "sliding" in panels:  # else the velocity is no state
-        s = sliding_variable(error, slope)
-        panels["sliding"].plot(flight.time, s[:, i], **_FLOWN)
+    if "sliding" in panels:
+        panels["sliding"].plot(flight.time, s, **_FLOWN)
+    if order > 1:  # else the velocity is no state
         panels["speed"].plot(flight.time, np.abs(flight.state[:, 1, i]), **_FLOWN)
 
 
