@@ -52,7 +52,7 @@ class Fence(LinearLimit):
     def normals(self, num_outputs):
         return self.rows
 
-    def unit(self, law):
+    def unit(self, law, column=None):
         return "m"
 
     def where(self, law, column):
@@ -290,8 +290,8 @@ class Relaxed(Limit):
     def proven(self, enclosure):
         return self.limit.proven(enclosure) + self.amount
 
-    def unit(self, law):
-        return self.limit.unit(law)
+    def unit(self, law, column=None):
+        return self.limit.unit(law, column)
 
 
 def test_what_is_broken_only_between_knots_is_caught():

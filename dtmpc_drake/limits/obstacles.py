@@ -32,7 +32,7 @@ class ObstacleLimit(Limit):
 
     name: ClassVar[str] = "obstacles"
 
-    def unit(self, law: SlidingLaw) -> str:
+    def unit(self, law: SlidingLaw, column: int | None = None) -> str:
         """See base class."""
         return law.model.length_unit
 

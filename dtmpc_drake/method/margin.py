@@ -52,14 +52,14 @@ class Margin:
 
 
 def smallest(
-    time: Array, values: Array, unit: str, where: str | Sequence[str]
+    time: Array, values: Array, unit: str | Sequence[str], where: str | Sequence[str]
 ) -> Margin:
     """The smallest of ``(K, q)`` values; one that is not finite comes before all.
 
     Args:
         time: ``(K,)``, in s.
         values: ``(K, q)``, not empty.
-        unit: of the values.
+        unit: of the values, or of each column.
         where: names of the columns, or what they are called before their number.
     """
     ranked = np.where(np.isfinite(values), values, -np.inf)
@@ -68,6 +68,8 @@ def smallest(
         name = f"{where} {column}" if where else ""
     else:
         name = where[int(column)]
+    if not isinstance(unit, str):
+        unit = unit[int(column)]
     return Margin(float(values[row, column]), unit, float(time[row]), name)
 
 
