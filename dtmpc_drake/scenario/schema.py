@@ -12,7 +12,9 @@ import numpy as np
 from dtmpc_drake.costs import Cost, Weight
 from dtmpc_drake.disturbances import Disturbance, UniformHold
 from dtmpc_drake.limits import InputRange, Limit, NormLimit, PositionLimit
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.method.sliding import SlidingLaw
+from dtmpc_drake.method.units import Units
 from dtmpc_drake.models import ConstantUncertainty, DragDoubleIntegrator, Model
 from dtmpc_drake.numerics.arrays import Array, BoolArray
 from dtmpc_drake.obstacles import Obstacle, ObstacleSet
@@ -462,6 +464,15 @@ class Scenario:
             slope=self.slope(),
             disturbance_bound=self.disturbance_bound(),
             reaching_rate=self.controller.reaching_rate,
+        )
+
+    def own_units(self) -> Units:
+        """In which it is planned and proven."""
+        return Units.own(
+            speed=self.limits.fastest,
+            slope=self.slope(),
+            bandwidth=self.controller.bandwidth.interval()[1],
+            orders=Chains.of(self.model).orders,
         )
 
     def slope(self) -> Array:
