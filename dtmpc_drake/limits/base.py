@@ -99,12 +99,11 @@ class Limit(Part, abc.ABC):
     def certify(self, enclosure: Enclosure) -> dict[str, Margin]:
         """Its margins of a certificate, by name, in the user's units."""
         values, units = self.proven(enclosure), enclosure.corridor.units
-        values = values * self.worth(units, enclosure.law.order)
         law, time = enclosure.law, enclosure.time * units.time
-        columns = range(values.shape[1])
+        worth, columns = self.worth(units, law.order), range(values.shape[1])
         places = [self.where(law, column) for column in columns]
         units_ = [self.unit(law, column) for column in columns]
-        return {self.name: smallest(time, values, units_, places)}
+        return {self.name: smallest(time, values, units_, places, worth)}
 
 
 LIMITS: Registry[Limit] = Registry(Limit, "register_limit")

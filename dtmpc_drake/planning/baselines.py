@@ -303,8 +303,7 @@ def _rank(outcome: Outcome) -> tuple[bool, bool, float]:
         return not outcome.certified, False, outcome.result.cost
     if certificate is None or certificate.faults:
         return True, True, math.inf
-    margin = certificate.worst[1].value
-    return True, True, -margin if math.isfinite(margin) else math.inf
+    return True, True, -certificate.worst[1].rank
 
 
 def without_tube(problem: Problem) -> Problem:
