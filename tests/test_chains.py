@@ -369,7 +369,12 @@ def test_errors_and_inputs_stay_inside_their_bounds_under_every_adversary(
     def layer_at(t: float) -> tuple[np.ndarray, np.ndarray]:
         i = min(int(t / half[2]), steps - 1)
         x, h = t / half[2] - i, half[2]
-        y0, y1, d0, d1 = layer[i], layer[i + 1], h * layer_rate[i], h * layer_rate[i + 1]
+        y0, y1, d0, d1 = (
+            layer[i],
+            layer[i + 1],
+            h * layer_rate[i],
+            h * layer_rate[i + 1],
+        )
         c2, c3 = 3 * (y1 - y0) - 2 * d0 - d1, 2 * (y0 - y1) + d0 + d1
         return y0 + x * (d0 + x * (c2 + x * c3)), (d0 + x * (2 * c2 + 3 * x * c3)) / h
 
@@ -390,9 +395,7 @@ def test_errors_and_inputs_stay_inside_their_bounds_under_every_adversary(
         law,
         reference=reference[:, :-1],
         bandwidth=alpha,
-        start=TubeStart(
-            np.max(opened, axis=0), chains.top(np.abs(error)).max(axis=0)
-        ),
+        start=TubeStart(np.max(opened, axis=0), chains.top(np.abs(error)).max(axis=0)),
         velocity_bound="comparison",
         step=half[2],
     )
