@@ -276,7 +276,8 @@ def test_what_cannot_be_of_such_an_output_is_no_plan(
 
 
 @pytest.mark.parametrize(
-    "orders", [[3, 3, 2, 2], [3, 3, 2], [3, 3, 2, 0], [2, 3, 2, 4], [3.0, 3.0, 2.0, 1.0]]
+    "orders",
+    [[3, 3, 2, 2], [3, 3, 2], [3, 3, 2, 0], [2, 3, 2, 4], [3.0, 3.0, 2.0, 1.0]],
 )
 def test_a_plan_of_other_orders_is_none_of_the_problem(
     short_result: PlanningResult, orders: list
@@ -338,7 +339,9 @@ def test_obstacles_see_the_place_alone(short_result: PlanningResult) -> None:
     turned = here + [0.0, 0.0, 0.0, 2.0]
     tube = np.array([0.1, 0.1, 0.1, 0.0])
     for wide in (tube, tube + [0, 0, 0, 5.0]):
-        assert field.clearance(here, tube) == pytest.approx(field.clearance(turned, wide))
+        assert field.clearance(here, tube) == pytest.approx(
+            field.clearance(turned, wide)
+        )
     assert short_result.certificate.margins["obstacles"].value >= 0
 
 
@@ -512,9 +515,7 @@ def test_a_new_plan_goes_on_where_the_old_one_is(short_result: PlanningResult) -
     own = old.error_bound(start)
     assert (opened.highest <= chains.top(own) + 1e-12).all()
     assert opened.layer == pytest.approx(old.boundary_layer(start))
-    problem = problem_on_the_way(
-        whole, old, measured_at=time, state=state, start=start
-    )
+    problem = problem_on_the_way(whole, old, measured_at=time, state=state, start=start)
     result = plan_problem(
         dataclasses.replace(problem, duration=6.0 - start), Planner(intervals=20)
     )
@@ -548,6 +549,18 @@ def test_obstacles_that_are_seen_on_the_way_are_avoided() -> None:
     assert not log.breaches(sensed)
     assert {r.status for r in log.replans} == {"certified"}
     assert log.clearance.min() > 0
+
+
+def test_what_is_held_without_a_plan_has_the_tube_that_it_says() -> None:
+    short = changed(
+        start=Waypoint([0.0, 0.0, 1.0, 0.0], [0.0, 0.3, 0.1, 0.0]),
+        limits=Limits(input=0.5),
+        duration=3.0,
+        goal=Waypoint(position=[0.0, 1.0, 1.5, 0.8]),
+    )
+    log = Simulate(short)
+    assert log.status.startswith("infeasible")
+    assert 0.1 < log.tube_ratios.max() <= 1 + 1e-6
 
 
 # Systems.
