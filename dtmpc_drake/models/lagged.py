@@ -78,7 +78,7 @@ class LaggedMultirotor(Model):
         drag, bias = (np.asarray(known[name])[..., None] for name in known)
         v, a, climb = x[..., 1, :2], x[..., 2, :2], x[..., 1, 2:3]
         speed = euclidean_norm(v)[..., None]
-        along = (v * a).sum(axis=-1)[..., None] / speed
+        along = (v * a).sum(axis=-1, keepdims=True) / speed
         pushed = speed * v / self.lag + speed * a + along * v
         return np.concatenate(
             [
