@@ -6,7 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from dtmpc_drake.checks import Setting, require_not_negative, require_positive
+from dtmpc_drake.checks import (
+    Setting,
+    derivative_unit,
+    require_not_negative,
+    require_positive,
+)
 from dtmpc_drake.models.base import Model, register_model
 from dtmpc_drake.numerics.arrays import Array, euclidean_norm, magnitude
 
@@ -67,6 +72,11 @@ class LaggedMultirotor(Model):
     def output_units(self) -> tuple[str, ...]:
         """See base class."""
         return (*(self.length_unit,) * 3, "rad")
+
+    @property
+    def input_units(self) -> tuple[str, ...]:
+        """See base class; what is asked for sideways is an acceleration, too."""
+        return (*(derivative_unit(self.length_unit, 2),) * 3, "rad/s")
 
     def drift(self, x: Array) -> Array:
         """F̂, with the estimated drag and without a bias."""
