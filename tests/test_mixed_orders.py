@@ -20,11 +20,15 @@ from dtmpc_drake.disturbances.base import DISTURBANCES
 from dtmpc_drake.experiments.compare import run as run_comparison
 from dtmpc_drake.experiments.simulate import run
 from dtmpc_drake.limits import NormLimit
-from dtmpc_drake.models import IntegratorChain, LaggedMultirotor
+from dtmpc_drake.method.sliding import sliding_variable
+from dtmpc_drake.models import IntegratorChain, LaggedMultirotor, Model
 from dtmpc_drake.numerics.arrays import euclidean_norm
 from dtmpc_drake.obstacles import Cylinder, Sphere
 from dtmpc_drake.planning import Problem, certify, plan, plan_problem, replan
+from dtmpc_drake.planning.layout import Variables
 from dtmpc_drake.planning.replanning import carried_start, problem_on_the_way
+from dtmpc_drake.planning.starts import straight_line
+from dtmpc_drake.planning.transcription import Transcription
 from dtmpc_drake.records.plan import Plan, join
 from dtmpc_drake.records.result import PlanningResult
 from dtmpc_drake.scenario import (
@@ -40,8 +44,13 @@ from dtmpc_drake.scenario import (
     validate,
 )
 from dtmpc_drake.scenario.schema import StateWeights
-from dtmpc_drake.systems import Plant
-from tests.models_for_tests import SkewedChains, make_problem
+from dtmpc_drake.systems import Plant, tube_ratios
+from tests.models_for_tests import (
+    SkewedChains,
+    make_problem,
+    models_of_mixed_orders,
+    name_of,
+)
 
 SHORT = Scenario(
     name="short",
@@ -240,16 +249,31 @@ def test_a_tube_that_claims_too_little_of_one_output_is_caught(
     assert certificate.margins["tube"].value < 0
 
 
-@pytest.mark.parametrize(("k", "i"), [(0, 3), (1, 2), (2, 1)], ids=str)
-def test_a_jump_of_what_is_a_state_is_caught(
-    short_result: PlanningResult, k: int, i: int
-) -> None:
-    def change(array: np.ndarray) -> None:
-        array[5, k, i] += 1e-6
+H = 0.25  # a piece of the short plan is so long
+JUMPS = {
+    # What jumps, of which output, and what is added to a piece, in powers of t.
+    "y*": (3, [1e-6, 0.0, 0.0]),
+    "y*^(1)": (2, [0.0, -1e-5 * H, 1e-5, 0.0]),
+    "y*^(2)": (1, [0.0, 0.0, 1e-5 * H**2, -2e-5 * H, 1e-5]),
+}
 
+
+@pytest.mark.parametrize("what", JUMPS)
+def test_a_jump_of_what_is_a_state_is_caught(
+    short_result: PlanningResult, what: str
+) -> None:
+    """Alone: all derivatives below it stay continuous."""
+    i, powers = JUMPS[what]
+
+    def change(array: np.ndarray) -> None:
+        array[5, : len(powers), i] += powers
+
+    assert np.diff(short_result.plan.knots) == pytest.approx(H)
     jumping = spoilt(short_result.plan, coefficients=change)
     certificate = certify(jumping, Problem.from_scenario(SHORT))
-    assert certificate.margins["continuity"].value < 0
+    margin = certificate.margins["continuity"]
+    assert margin.value < 0
+    assert margin.where.startswith(f"{what} on ")
 
 
 def bend(array: np.ndarray) -> None:
@@ -329,19 +353,34 @@ def test_outputs_that_see_each_other_are_planned_by_both(backend: str) -> None:
     assert result.certified, result.message
 
 
+@pytest.mark.parametrize("model", models_of_mixed_orders(), ids=name_of)
+@pytest.mark.parametrize("velocity_bound", ["comparison", "paper"])
+def test_programs_read_the_bounds_off_the_tubes_states(
+    model: Model, velocity_bound: str
+) -> None:
+    tr = Transcription(make_problem(model, velocity_bound=velocity_bound), 12)
+    iterate = tr.evaluate(*straight_line(tr))
+    states = tr.tube_states(iterate).reshape(13, -1)
+    found = np.stack([states @ bound.T for bound in tr.state_bounds], axis=1)
+    assert found == pytest.approx(iterate.local.error_bound, abs=1e-12)
+    layout = Variables(tr, planes=0, kinked=np.zeros(0, dtype=int))
+    both = np.concatenate([states[:-1], states[1:]], axis=1)
+    controls = np.einsum("cis,ps->pci", layout.tube_matrix, both)
+    assert controls[:, 0] == pytest.approx(found[:-1, 0])
+    assert controls[:, -1] == pytest.approx(found[1:, 0])
+
+
 # Obstacles and what says where it is.
 
 
 def test_obstacles_see_the_place_alone(short_result: PlanningResult) -> None:
     field = SHORT.obstacle_set()
     assert field.outputs_seen().tolist() == [True, True, True, False]
-    here = np.array([0.0, 0.0, 1.0, 0.0])
-    turned = here + [0.0, 0.0, 0.0, 2.0]
-    tube = np.array([0.1, 0.1, 0.1, 0.0])
-    for wide in (tube, tube + [0, 0, 0, 5.0]):
-        assert field.clearance(here, tube) == pytest.approx(
-            field.clearance(turned, wide)
-        )
+    here, turned = np.array([[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 1.0, 2.0]])
+    tube, loose = np.array([[0.1, 0.1, 0.1, 0.0], [0.1, 0.1, 0.1, 5.0]])
+    for wide in (tube, loose):
+        expected = field.clearance(here, tube)
+        assert field.clearance(turned, wide) == pytest.approx(expected)
     assert short_result.certificate.margins["obstacles"].value >= 0
 
 
@@ -582,6 +621,21 @@ def test_the_plants_state_has_no_more_numbers_than_there_are() -> None:
     state = np.array([x[:4], [*x[4:7], 0], [*x[7:], 0, 0]])
     forced = SHORT.model.true_drift(state, {"drag": 0.1}) + u / [0.25, 0.25, 1, 1] + d
     assert rates[[7, 8, 6, 3]] == pytest.approx(forced)
+
+
+def test_an_output_without_a_velocity_uses_as_much_of_its_tube_as_of_its_layer(
+    short_result: PlanningResult,
+) -> None:
+    made, time, slope = short_result.plan, 2.0, np.full(4, 2.0)
+    bound = made.error_bound(time)
+    for share in (0.5, 0.25):
+        state = made.reference(time)[:-1] + share * bound
+        ratios = tube_ratios(plan=made, time=time, state=state, slope=slope)
+        assert ratios[1, :3] == pytest.approx(share, abs=1e-4)
+        assert ratios[2] == pytest.approx(share, abs=1e-4)
+        assert ratios[:, 3] == pytest.approx(share, abs=1e-4)  # the yaw's
+        s = sliding_variable(share * bound, slope, made.chains)
+        assert ratios[0] == pytest.approx(s / made.boundary_layer(time), abs=1e-4)
 
 
 def test_plant_and_tracker_can_be_linearised(short_result: PlanningResult) -> None:
