@@ -204,7 +204,8 @@ def add(rows, value):
     return change
 
 
-FIELDS = [field.name for field in dataclasses.fields(Plan)]
+FIELDS = [field.name for field in dataclasses.fields(Plan) if field.name != "orders"]
+"""Those of real numbers."""
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
@@ -227,6 +228,24 @@ def test_an_array_of_another_shape_is_named(known_result, known_problem, field):
     assert not certificate.certified
     # Times give the others their shape, so those are named in their stead.
     assert ":" in certificate.reason and "shape" in certificate.reason
+
+
+@pytest.mark.parametrize(
+    ("orders", "why"),
+    [
+        ([2, 2], "3 whole numbers, one for each output"),
+        ([2.0, 2.0, np.nan], "3 whole numbers"),
+        ([2, 2, 3], "the largest must be 2"),
+        ([1, 2, 0], "the largest must be 2"),
+        ([1, 2, 2], "coefficients: an output has a power beyond"),
+    ],
+)
+def test_orders_that_a_plan_cannot_have_are_named(
+    known_result, known_problem, orders, why
+):
+    plan = dataclasses.replace(known_result.plan, orders=np.array(orders))
+    certificate = certify(plan, known_problem)
+    assert not certificate.certified and why in certificate.reason
 
 
 def test_a_plan_of_another_order_is_told_so(known_result):
