@@ -9,9 +9,13 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from dtmpc_drake.limits import PositionLimit
 from dtmpc_drake.numerics.arrays import FloatArray
 from dtmpc_drake.obstacles import ObstacleSet
 from dtmpc_drake.obstacles.drawing import Mesh, Outline, Solid, outlines, solids
+
+NEAR = 0.12
+"""What is beside a flight by less than this part of its length is in the picture."""
 
 
 def embedding(num_outputs: int) -> FloatArray:
@@ -24,6 +28,29 @@ def embedding(num_outputs: int) -> FloatArray:
 def missing_axes(num_outputs: int) -> FloatArray:
     """One for every axis of the picture that no output moves along, ``(3,)``."""
     return 1.0 - embedding(num_outputs).sum(axis=1)
+
+
+def position_bounds(limit: PositionLimit | None, num_outputs: int) -> FloatArray:
+    """The least and the largest position, ``(m, 2)``; infinite where there is none."""
+    if limit is None:
+        return np.tile([-np.inf, np.inf], (num_outputs, 1))
+    return limit.both()
+
+
+def near_bounds(bounds: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Those bounds that are near enough to a box to be in a picture of it.
+
+    Args:
+        bounds: as from `position_bounds`, ``(m, 2)``.
+        low: one corner of the box, ``(m,)``.
+        high: the opposite corner.
+
+    Returns:
+        The same, ``(m, 2)``; infinite where they are further away.
+    """
+    away = np.stack([low, -high], axis=1) - bounds * [1.0, -1.0]
+    near = away < NEAR * float((high - low).max())
+    return np.where(near, bounds, [-np.inf, np.inf])
 
 
 def obstacle_sections(

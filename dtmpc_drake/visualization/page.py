@@ -16,12 +16,14 @@ from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.visualization.scene import (
     field_corners,
     grid_spacing,
+    shown_fences,
     vehicle_radius,
 )
 from dtmpc_drake.visualization.shown import ShownFlight
 from dtmpc_drake.visualization.style import (
     BLACK,
     BLUE,
+    FENCE,
     GHOST,
     GREEN,
     GREY,
@@ -105,6 +107,10 @@ def legend_html(
         "obstacles_shown": "" if scenario.obstacles else "hidden",
         "ghosts_shown": "" if flight.found else "hidden",
         "ghost_color": GHOST,
+        "fences_shown": ""
+        if np.isfinite(shown_fences(scenario, plan)).any()
+        else "hidden",
+        "fence_color": FENCE,
         "cut": "(pillars cut at flight altitude)" if plan.num_outputs >= 3 else "",
         # So that no text can end the script element.
         "data": json.dumps(data).replace("<", "\\u003c"),

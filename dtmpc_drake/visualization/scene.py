@@ -21,13 +21,16 @@ from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.visualization.geometry import (
     embedding,
     missing_axes,
+    near_bounds,
     obstacle_solids,
+    position_bounds,
     swept_mesh,
     travel_frames,
     tube_rings,
 )
 from dtmpc_drake.visualization.style import (
     BLACK,
+    FENCE,
     GHOST,
     GREEN,
     GREY,
@@ -79,6 +82,8 @@ def add_scene(
     meshcat.Delete(ROOT)
     low, high = field_corners(scenario, plan)
     add_field(meshcat, scenario=scenario, low=low, high=high)
+    fences = shown_fences(scenario, plan)
+    add_fences(meshcat, fences=fences, low=low, high=high)
     add_obstacles(meshcat, scenario=scenario, low=low, high=high)
     add_tube(meshcat, plan=plan, color_by=color_by)
     add_vehicle(
@@ -93,8 +98,8 @@ def add_scene(
 def field_corners(scenario: Scenario, plan: Plan) -> tuple[FloatArray, FloatArray]:
     """Two corners of the picture's field, ``(3,)`` each, in m.
 
-    It holds the tube and the obstacles near it, with some air around.  Its floor
-    is the ground, z = 0, unless something flies below; its ceiling is just above
+    It holds the tube, and the obstacles and fences near it, with some air around.  Its
+    floor is the ground, z = 0, unless something flies below; its ceiling is just above
     the highest reference, so that cylinders without an end do not hide what
     flies between them.  A vehicle in the plane gets a little of both.
     """
@@ -111,12 +116,64 @@ def field_corners(scenario: Scenario, plan: Plan) -> tuple[FloatArray, FloatArra
             bounds.append((lowest, highest))
     low = np.min([np.maximum(b[0], low - reach) for b in bounds], axis=0)
     high = np.max([np.minimum(b[1], high + reach) for b in bounds], axis=0)
+    low, high = _with_fences(low, high, shown_fences(scenario, plan))
     air = np.array([0.5, 0.5, 0.0])
     low, high = low - air, high + air
     low[2], high[2] = min(low[2], 0.0), center[:, 2].max() + 0.05
     if plan.num_outputs < 3:
         low[2], high[2] = -3 * FLAT, 3 * FLAT
     return low, high
+
+
+def shown_fences(scenario: Scenario, plan: Plan) -> FloatArray:
+    """Bounds of the position near a plan, ``(3, 2)``; infinite where there are none."""
+    m = plan.num_outputs
+    samples = plan.sample(drawn_period(plan, _TUBE_PERIOD))
+    center, half = samples["position"], samples["position_tube"]
+    low, high = (center - half).min(axis=0), (center + half).max(axis=0)
+    near = near_bounds(position_bounds(scenario.limits.position, m), low, high)
+    axis, output = np.nonzero(embedding(m))
+    fences = np.tile([-np.inf, np.inf], (3, 1))
+    fences[axis] = near[output]
+    return fences
+
+
+def _with_fences(
+    low: FloatArray, high: FloatArray, fences: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """A box that reaches to all fences around it."""
+    least, largest = fences.T
+    low = np.where(np.isfinite(least), np.minimum(low, least), low)
+    high = np.where(np.isfinite(largest), np.maximum(high, largest), high)
+    return low, high
+
+
+def add_fences(
+    meshcat: Meshcat, *, fences: FloatArray, low: FloatArray, high: FloatArray
+) -> None:
+    """Floor, ceiling and walls as thin sheets with a frame, across the field.
+
+    Args:
+        meshcat: to draw into.
+        fences: as from `shown_fences`, ``(3, 2)``.
+        low: one corner of the field, ``(3,)``, as from `field_corners`.
+        high: the opposite corner.
+    """
+    inside = np.maximum(low, fences[:, 0]), np.minimum(high, fences[:, 1])
+    for axis, side in np.argwhere(np.isfinite(fences)):
+        if axis == 2 and fences[axis, side] <= low[2]:
+            continue  # the ground itself
+        corners = np.array(inside)
+        corners[:, axis] = fences[axis, side]
+        size = np.maximum(corners[1] - corners[0], 2e-3)
+        path = f"{ROOT}/fences/{'xyz'[axis]}{'min' if side == 0 else 'max'}"
+        meshcat.SetObject(f"{path}/sheet", Box(*size), rgba(FENCE, 0.14))
+        meshcat.SetTransform(f"{path}/sheet", RigidTransform(corners.mean(axis=0)))
+        meshcat.SetProperty(f"{path}/sheet/<object>", "material.depthWrite", False)
+        a, b = (i for i in range(3) if i != axis)
+        frame = np.tile(corners[0], (5, 1))
+        frame[[1, 2], a], frame[[2, 3], b] = corners[1, a], corners[1, b]
+        meshcat.SetLine(f"{path}/frame", frame.T, 1.5, rgba(FENCE))
 
 
 def add_field(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Iterable, Sequence
 from typing import Literal
 
@@ -21,6 +22,7 @@ VERMILION = "#D55E00"
 PALE_BLUE = "#E4F0F8"
 GREEN = "#009E73"
 PALE_GREEN = "#8FD3BF"
+PALER_GREEN = "#E2F4EE"
 ORANGE = "#E69F00"
 PURPLE = "#CC79A7"
 SKY_BLUE = "#56B4E9"
@@ -28,6 +30,7 @@ BLACK = "#1A1A1A"
 GREY = "#9A9A9A"
 EDGE = "#555555"
 LIGHT_GREY = "#D9D9D9"
+FENCE = "#6B6FA8"  # of bounds of the position in a scene
 GHOST = "#7FA8C9"  # of obstacles that are not known yet
 
 # Clouds of flights: the last one is drawn on top, in the blue of a single one.
@@ -133,8 +136,16 @@ def cloud_colors(names: Iterable[str]) -> dict[str, str]:
 
 def unit_of(derivative: int) -> str:
     """The unit of a derivative of an output: m, m/s, m/s², ..."""
-    powers = str(derivative).translate(str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹"))
-    return {0: "m", 1: "m/s"}.get(derivative, f"m/s{powers}")
+    return {0: "m", 1: "m/s"}.get(derivative, plain_unit(f"m/s^{derivative}"))
+
+
+def plain_unit(unit: str) -> str:
+    """A unit as a reader knows it: m/s² for ``m/s^2``."""
+    return re.sub(
+        r"\^(\d+)",
+        lambda power: power[1].translate(str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")),
+        unit,
+    )
 
 
 def axis_name(output: int, num_outputs: int) -> str:

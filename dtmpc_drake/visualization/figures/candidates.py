@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
@@ -15,7 +16,7 @@ from matplotlib.patches import Patch
 from dtmpc_drake.records.candidate import Candidate
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import Scenario
-from dtmpc_drake.visualization.figures.view import WIDTH, View
+from dtmpc_drake.visualization.figures.view import WIDTH, View, fence_handles
 from dtmpc_drake.visualization.style import (
     BLACK,
     EDGE,
@@ -86,11 +87,12 @@ def plot_candidates(
     notes += [f"{left_out} more are not shown"] if left_out else []
     notes += [f"{blocked} cannot keep the constraints"] if blocked else []
     bars.set_title("; ".join(notes), fontsize=9)
-    handles = [
+    handles: list[Artist] = [
         Line2D([], [], color=BLACK, lw=2.6, label="chosen reference"),
         Patch(fc=PALE_BLUE, ec=BLACK, label="its tube"),
         Line2D([], [], color=_COSTS(0.5), lw=1.2, alpha=0.7, label="alternatives"),
         Patch(fc=GREY, ec=EDGE, label="obstacle"),
+        *fence_handles(bool(view.fences((low, high)))),
     ]
     figure.legend(
         handles=handles, loc="outside upper center", ncols=len(handles), frameon=False

@@ -22,7 +22,9 @@ from dtmpc_drake.visualization.figures.view import (
     add_color_bar,
     add_legend,
     colored_line,
+    draw_fence,
 )
+from dtmpc_drake.visualization.geometry import near_bounds, position_bounds
 from dtmpc_drake.visualization.style import (
     BLACK,
     EDGE,
@@ -50,10 +52,11 @@ def plot_plan(
     reference.  Two insets show the narrowest passage and the place where the
     tube comes closest to an obstacle elsewhere.  Each obstacle is filled where
     the tube could meet it at its own altitude; where it is wider above or below,
-    that part is a dashed outline.  A single output is drawn over time instead.
+    that part is a dashed outline.  Beyond the bounds of the position it is hatched.  A
+    single output is drawn over time instead.
 
     Args:
-        scenario: gives the obstacles.
+        scenario: gives the obstacles and bounds.
         plan: a plan, or an infeasible attempt.
         position: of the vehicle, ``(K, m)`` or, for several flights,
             ``(flights, K, m)``, in m; or several such clouds by name, of which
@@ -110,7 +113,8 @@ def _plot_from_above(
         _connect(figure, main, panel)
         panels.append(panel)
     add_color_bar(figure, panels, view.coloring)
-    add_legend(figure, scenario, view.coloring, clouds)
+    fenced = bool(view.fences((low, high)))
+    add_legend(figure, scenario, view.coloring, clouds, fenced=fenced)
     return figure
 
 
@@ -200,9 +204,18 @@ def _plot_over_time(
         axes.axhspan(low, high, fc=GREY, ec=EDGE, lw=0.8, zorder=1)
         if low < 2 * top - bottom and high > 2 * bottom - top:
             bottom, top = min(bottom, low), max(top, high)
+    bounds = position_bounds(scenario.limits.position, 1)
+    tube = np.array([np.min(center - half)]), np.array([np.max(center + half)])
+    fences = near_bounds(bounds, *tube)[0]
+    for fence, out in zip(fences, (-1.0, 1.0), strict=True):
+        if np.isfinite(fence):
+            margin = 0.04 * (top - bottom)
+            bottom, top = min(bottom, fence - margin), max(top, fence + margin)
+            draw_fence(axes, 1, fence, fence + out * 2 * (top - bottom))
     axes.set_ylim(bottom, top)
     axes.set_xlabel("time (s)")
     axes.set_ylabel("position y (m)")
     add_color_bar(figure, [axes], coloring)
-    add_legend(figure, scenario, coloring, clouds)
+    fenced = bool(np.isfinite(fences).any())
+    add_legend(figure, scenario, coloring, clouds, fenced=fenced)
     return figure

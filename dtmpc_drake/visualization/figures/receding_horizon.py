@@ -23,6 +23,7 @@ from dtmpc_drake.visualization.figures.view import (
     View,
     Window,
     add_color_bar,
+    fence_handles,
     joint_window,
 )
 from dtmpc_drake.visualization.style import (
@@ -101,6 +102,7 @@ def plot_receding_horizon(
         Line2D([], [], color=VERMILION, lw=1.2, label="flown"),
         Patch(fc=GREY, ec=EDGE, label="known obstacle"),
         Patch(fc=LIGHT_GREY, label="not known yet", **_UNKNOWN),
+        *fence_handles(bool(views[-1].fences(window))),
     ]
     figure.legend(
         handles=handles, loc="outside upper center", ncols=len(handles), frameon=False

@@ -23,7 +23,13 @@ from dtmpc_drake.obstacles.drawing import Outline
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.visualization.figures.cloud import Cloud
-from dtmpc_drake.visualization.geometry import obstacle_sections, swept_boxes
+from dtmpc_drake.visualization.geometry import (
+    NEAR,
+    near_bounds,
+    obstacle_sections,
+    position_bounds,
+    swept_boxes,
+)
 from dtmpc_drake.visualization.style import (
     BLACK,
     EDGE,
@@ -50,6 +56,8 @@ _GOAL: dict[str, Any] = {
     "zorder": 5,
 }
 
+_OUT_OF_BOUNDS: dict[str, Any] = {"fc": "white", "ec": GREY, "hatch": "////", "lw": 0}
+
 Window = tuple[FloatArray, FloatArray]
 """Two corners of what is seen, ``(2,)`` each, in m."""
 
@@ -65,6 +73,7 @@ class View:
         coloring: of the samples.
         obstacles: sections (None if passed above or below) and silhouettes.
         clouds: flights, in the vehicle's own order of axes.
+        bounds: the least and the largest position, ``(m, 2)``; infinite for none.
         goal: its position, ``(m,)``, where a plan need not end there.
     """
 
@@ -72,6 +81,7 @@ class View:
     order: tuple[int, int]
     coloring: Coloring
     obstacles: list[tuple[Outline | None, Outline]]
+    bounds: FloatArray
     clouds: Sequence[Cloud] = ()
     goal: FloatArray | None = None
 
@@ -89,7 +99,7 @@ class View:
         """A look at a plan with two outputs or more.
 
         Args:
-            scenario: gives the obstacles, and a goal that is soft.
+            scenario: gives the obstacles, bounds, and a goal that is soft.
             plan: a plan, or an infeasible attempt.
             color_by: ``bandwidth`` or ``speed``.
             among: plans that share their colours.
@@ -104,6 +114,7 @@ class View:
             order=(1, 0) if along_y else (0, 1),
             coloring=Coloring.along(plan, samples["time"], color_by, among),
             obstacles=obstacle_sections(scenario.obstacle_set(), position, tube),
+            bounds=position_bounds(scenario.limits.position, plan.num_outputs),
             clouds=clouds,
             goal=scenario.goal_state()[0] if scenario.goal_is_soft else None,
         )
@@ -123,11 +134,13 @@ class View:
         return points[..., list(self.order)]
 
     def window(self) -> Window:
-        """Corners that hold the tube and the obstacles beside it."""
+        """Corners that hold the tube, and the obstacles and fences beside it."""
         low, high = self.center - self.half, self.center + self.half
         low, high = low.min(axis=0), high.max(axis=0)
-        reach = 0.12 * float((high - low).max())
-        lows, highs = [low], [high]
+        reach = NEAR * float((high - low).max())
+        fences = near_bounds(self.bounds[list(self.order)], low, high).T
+        fences = np.where(np.isfinite(fences), fences, [low, high])
+        lows, highs = [low, fences[0]], [high, fences[1]]
         for _, silhouette in self.obstacles:
             outline = self.seen(silhouette.outline())
             a, b = outline.min(axis=0), outline.max(axis=0)
@@ -142,6 +155,20 @@ class View:
         low, high = np.min(lows, axis=0), np.max(highs, axis=0)
         margin = 0.012 * float((high - low).max())
         return low - margin, high + margin
+
+    def fences(self, window: Window) -> list[tuple[int, float, float]]:
+        """The bounds in a window: axis of the picture, where it is, which way is out.
+
+        Args:
+            window: that is seen.
+        """
+        bounds = self.bounds[list(self.order)]
+        return [
+            (axis, float(bounds[axis, side]), out)
+            for axis in (0, 1)
+            for side, out in enumerate((-1.0, 1.0))
+            if window[0][axis] < bounds[axis, side] < window[1][axis]
+        ]
 
     def draw(
         self,
@@ -166,6 +193,9 @@ class View:
                 axes.add_patch(Polygon(filled, fc=GREY, ec="none", zorder=1))
                 # Above the tube, so that an attempt shows what it cuts into.
                 axes.add_patch(Polygon(filled, fill=False, ec=EDGE, lw=0.8, zorder=3))
+        for axis, bound, out in self.fences(window):
+            far = bound + out * float(window[1][axis] - window[0][axis])
+            draw_fence(axes, axis, bound, far)
         # Stroke all boxes, then fill them: what stays black is the outline.
         boxes = swept_boxes(self.center - self.half, self.center + self.half)
         tube = Path.make_compound_path_from_polys(boxes)
@@ -225,8 +255,33 @@ def add_color_bar(figure: Figure, axes: Sequence[Axes], coloring: Coloring) -> N
     bar.set_label(f"{coloring.label} ({coloring.unit})", fontsize=9)
 
 
+def draw_fence(axes: Axes, axis: int, bound: float, far: float) -> None:
+    """A bound of the position, and what is out of bounds.
+
+    Args:
+        axes: to draw into.
+        axis: of the picture, 0 or 1.
+        bound: where it is along that axis.
+        far: how far it is hatched.
+    """
+    span = axes.axhspan if axis else axes.axvspan
+    line = axes.axhline if axis else axes.axvline
+    span(*sorted((bound, far)), zorder=0.5, **_OUT_OF_BOUNDS)
+    line(bound, color=EDGE, lw=1.2, zorder=3)
+
+
+def fence_handles(fenced: bool) -> list[Artist]:
+    """For the legend of a picture in which bounds of the position may be seen."""
+    return [Patch(label="out of bounds", **_OUT_OF_BOUNDS)] if fenced else []
+
+
 def add_legend(
-    figure: Figure, scenario: Scenario, coloring: Coloring, clouds: Sequence[Cloud] = ()
+    figure: Figure,
+    scenario: Scenario,
+    coloring: Coloring,
+    clouds: Sequence[Cloud] = (),
+    *,
+    fenced: bool = False,
 ) -> None:
     """What a plan, its tube, flights and obstacles look like, above the figure."""
     handles: list[Artist] = [
@@ -236,6 +291,7 @@ def add_legend(
     handles += [cloud.handle() for cloud in clouds]
     if scenario.obstacles:
         handles.append(Patch(fc=GREY, ec=EDGE, label="obstacle"))
+    handles += fence_handles(fenced)
     if scenario.goal_is_soft:
         handles.append(Line2D([], [], label="soft goal", **_GOAL))
     # As many in a row as the figure is wide; several rows are alike.
