@@ -9,6 +9,7 @@ import numpy as np
 
 from dtmpc_drake.checks import Part
 from dtmpc_drake.method.sliding import SlidingLaw
+from dtmpc_drake.method.units import Units
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.differences import differences
 from dtmpc_drake.registry import Registry
@@ -24,6 +25,15 @@ class Cost(Part, abc.ABC):
     """Of what it charges, for tables; its class if it says nothing."""
     of_goal: bool = False
     """Whether a plan that gives up the goal, to rest anywhere, has no such cost."""
+
+    def in_units(self, units: Units, worth: float) -> Cost | None:
+        """The same cost in other units; None if it leaves that to `costs.in_units`.
+
+        Args:
+            units: the new ones in the user's.
+            worth: by which its squares are multiplied then.
+        """
+        return None
 
     @abc.abstractmethod
     def residuals(self, law: SlidingLaw, state: Array, highest: Array) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 from dtmpc_drake.costs.base import Cost
 from dtmpc_drake.costs.weights import Weight, root_of, rooted, rooted_rows
 from dtmpc_drake.method.sliding import SlidingLaw
+from dtmpc_drake.method.units import Units
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.differences import Parts
 
@@ -30,6 +31,10 @@ class InputCost(Cost):
     @cached_property
     def _root(self) -> Array:
         return root_of(self.weight)
+
+    def in_units(self, units: Units, worth: float) -> InputCost:
+        """See base class; the unit of costs is chosen so that this is itself."""
+        return self
 
     def residuals(self, law: SlidingLaw, state: Array, highest: Array) -> Array:
         """See base class."""

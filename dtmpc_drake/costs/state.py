@@ -15,6 +15,7 @@ import numpy as np
 from dtmpc_drake.costs.base import Cost
 from dtmpc_drake.costs.weights import Weight, is_nothing, matrix_of, root_of
 from dtmpc_drake.method.sliding import SlidingLaw
+from dtmpc_drake.method.units import Units
 from dtmpc_drake.numerics.arrays import Array
 
 
@@ -62,6 +63,12 @@ class StateCost(Cost):
                 rows.append(np.kron(place, root_of(matrix_of(weight, m)) @ across))
         roots = np.concatenate([np.zeros((0, n * m)), *rows])
         return cls(target, roots, of_goal=direction is None)
+
+    def in_units(self, units: Units, worth: float) -> StateCost:
+        """See base class."""
+        rows = units.of_rows(len(self.target))
+        each = np.broadcast_to(np.sqrt(worth) * rows, self.target.shape).ravel()
+        return StateCost(self.target / rows, self.roots * each, self.of_goal)
 
     def residuals(self, law: SlidingLaw, state: Array, highest: Array) -> Array:
         """See base class."""

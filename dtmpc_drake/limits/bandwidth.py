@@ -46,6 +46,10 @@ class BandwidthLimit:
         alpha = np.broadcast_to(bandwidth, self.low.shape).copy()
         return dataclasses.replace(self, low=alpha, high=alpha)
 
+    def in_units(self, time: float) -> BandwidthLimit:
+        """The same in a unit of time that is so long."""
+        return BandwidthLimit(self.low * time, self.high * time, self.rate * time**2)
+
     def certify(self, enclosure: Enclosure) -> dict[str, Margin]:
         """Margins of the implied α: of its bounds, its rate, and from the plan's own α.
 
@@ -59,7 +63,8 @@ class BandwidthLimit:
         Args:
             enclosure: of the plan.
         """
-        law, layer, time = enclosure.law, enclosure.layer, enclosure.time
+        law, layer, units = enclosure.law, enclosure.layer, enclosure.corridor.units
+        time = enclosure.time * units.time
         model, middle = law.model, enclosure.reference.derivatives[:, : law.order]
         least_error = model.model_error_bound_under(middle, enclosure.reference_radius)
         most_error = model.model_error_bound_over(middle, enclosure.reference_radius)
@@ -81,9 +86,12 @@ class BandwidthLimit:
         allowed = np.abs(own.derivatives[:, 0]) - own.radius(0)
         near = KNOTS_TOLERANCE * allowed * thin + np.minimum(*room(needed))
         margins = {
-            "bandwidth_min": smallest(time, above / thick, "rad/s", "axis"),
-            "bandwidth_max": smallest(time, below / thick, "rad/s", "axis"),
-            "bandwidth_knots": smallest(time, near / thick, "rad/s", "axis"),
+            name: smallest(time, left / thick / units.time, "rad/s", "axis")
+            for name, left in (
+                ("bandwidth_min", above),
+                ("bandwidth_max", below),
+                ("bandwidth_knots", near),
+            )
         }
         if not self.is_fixed:
             slack = self.rate - np.abs(own.derivatives[:, 1])
@@ -96,6 +104,7 @@ class BandwidthLimit:
                 thinnest = np.maximum(thin, THINNEST)
                 off = off * layer.largest(1) / thinnest + needed.largest(1)
                 slack = slack - off / thinnest
+            slack = slack / units.time**2
             margins[name] = smallest(time, slack, "rad/s²", "axis")
         return margins
 

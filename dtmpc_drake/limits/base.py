@@ -21,10 +21,13 @@ from dtmpc_drake.method.enclosure import Enclosure
 from dtmpc_drake.method.margin import Margin, smallest
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.tightening import Instant, deviation_bound
+from dtmpc_drake.method.units import Units
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.differences import differences
 from dtmpc_drake.registry import Registry
 
+WEIGHED = 1.6
+"""Parts of a limit's size that weigh like an own unit of length of an obstacle."""
 STEP = 1e-6
 """Half-width of the differences along y*^(n) and along the gain."""
 
@@ -79,12 +82,26 @@ class Limit(Part, abc.ABC):
         """What it is called in a sentence."""
         return f"{self.name.replace('_', ' ')} limit"
 
+    def in_units(self, units: Units, order: int) -> Limit | None:
+        """The same limit in other units; None if it leaves that to `limits.in_units`.
+
+        Args:
+            units: the new ones in the user's.
+            order: n.
+        """
+        return None
+
+    def worth(self, units: Units, order: int) -> float:
+        """What a margin of one is in the user's unit; arguments as `in_units`."""
+        return 1.0
+
     def certify(self, enclosure: Enclosure) -> dict[str, Margin]:
-        """Its margins of a certificate, by name."""
-        values = self.proven(enclosure)
+        """Its margins of a certificate, by name, in the user's units."""
+        values, units = self.proven(enclosure), enclosure.corridor.units
+        values = values * self.worth(units, enclosure.law.order)
         places = [self.where(column) for column in range(values.shape[1])]
-        unit = self.unit(enclosure.law)
-        return {self.name: smallest(enclosure.time, values, unit, places)}
+        unit, time = self.unit(enclosure.law), enclosure.time * units.time
+        return {self.name: smallest(time, values, unit, places)}
 
 
 LIMITS: Registry[Limit] = Registry(Limit, "register_limit")
@@ -122,8 +139,11 @@ class Facets:
 class SampledLimit(Limit):
     """A limit on a function of one instant, looked at wherever it is nearly broken."""
 
-    scale: ClassVar[float] = 1.0
-    """So much violation weighs like one metre of an obstacle."""
+    @property
+    def scale(self) -> float:
+        """So much violation weighs like an own unit of length of an obstacle."""
+        return WEIGHED * float(np.max(self.size))
+
     between_knots: ClassVar[bool] = True
     """Whether programs look at it between knots, and only where it is near; else they
     do at all knots."""
@@ -205,8 +225,11 @@ class ConvexLimit(Limit):
 
     @property
     @abc.abstractmethod
-    def size(self) -> float:
-        """What is limited is about so large; margins are near or far in parts of it."""
+    def size(self) -> float | None:
+        """What is limited is about so large; margins are near or far in parts of it.
+
+        None if that is for the problem to say, as for positions.
+        """
 
     @abc.abstractmethod
     def left(self, value: Array, spread: Array) -> Array:
@@ -223,6 +246,10 @@ class ConvexLimit(Limit):
     @abc.abstractmethod
     def left_slopes(self, value: Array, spread: Array) -> tuple[Array, Array]:
         """Derivatives of `left` by value and by spread, ``(..., q, m)`` each."""
+
+    def worth(self, units: Units, order: int) -> float:
+        """See base class."""
+        return units.of(self.derivative)
 
     def margins(self, law: SlidingLaw, at: Instant) -> Array:
         """See base class."""

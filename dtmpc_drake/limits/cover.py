@@ -11,6 +11,7 @@ from dtmpc_drake.limits.base import Facets, SampledLimit, Slopes
 from dtmpc_drake.method.enclosure import Enclosure
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.tightening import Instant
+from dtmpc_drake.method.units import Units
 from dtmpc_drake.models import ConstantUncertainty
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.differences import differences
@@ -28,6 +29,7 @@ class CoverLimit(SampledLimit):
 
     name: ClassVar[str] = "model_error"
     between_knots: ClassVar[bool] = False
+    scale: ClassVar[float] = 1.0
 
     @property
     def title(self) -> str:
@@ -46,6 +48,10 @@ class CoverLimit(SampledLimit):
     def size(self) -> Array:
         """See base class."""
         return self.model.bound
+
+    def worth(self, units: Units, order: int) -> float:
+        """See base class."""
+        return units.of(order)
 
     def margins(self, law: SlidingLaw, at: Instant) -> Array:
         """See base class."""

@@ -12,6 +12,7 @@ from dtmpc_drake.limits.input_slopes import InputSlopes
 from dtmpc_drake.method.enclosure import Enclosure
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.tightening import Instant, input_bound
+from dtmpc_drake.method.units import Units
 from dtmpc_drake.numerics.arrays import Array, euclidean_norm
 
 APEX = 0.05
@@ -31,11 +32,18 @@ class InputLimit(SampledLimit):
     bound: float
 
     name: ClassVar[str] = "input"
-    scale: ClassVar[float] = 8.0
 
     def unit(self, law: SlidingLaw) -> str:
         """See base class."""
         return f"m/s^{law.order}"
+
+    def in_units(self, units: Units, order: int) -> InputLimit:
+        """See base class."""
+        return InputLimit(self.bound / units.of(order))
+
+    def worth(self, units: Units, order: int) -> float:
+        """See base class."""
+        return units.of(order)
 
     @property
     def size(self) -> float:

@@ -14,6 +14,7 @@ from dtmpc_drake.limits.sides import Sides
 from dtmpc_drake.method.enclosure import Enclosure
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.tightening import Instant, input_range
+from dtmpc_drake.method.units import Units
 from dtmpc_drake.numerics.arrays import Array
 
 
@@ -27,7 +28,6 @@ class InputRange(Sides, SampledLimit):
     """
 
     name: ClassVar[str] = "inputs"
-    scale: ClassVar[float] = 8.0
 
     @property
     def size(self) -> float:
@@ -37,6 +37,14 @@ class InputRange(Sides, SampledLimit):
     def unit(self, law: SlidingLaw) -> str:
         """See base class."""
         return f"m/s^{law.order}"
+
+    def in_units(self, units: Units, order: int) -> InputRange:
+        """See base class."""
+        return InputRange(*self.sides_in(units.of(order)))
+
+    def worth(self, units: Units, order: int) -> float:
+        """See base class."""
+        return units.of(order)
 
     def where(self, column: int) -> str:
         """See base class."""

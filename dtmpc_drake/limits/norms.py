@@ -24,6 +24,7 @@ from dtmpc_drake.limits.input_slopes import InputSlopes
 from dtmpc_drake.method.enclosure import Enclosure
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.tightening import Instant, input_range
+from dtmpc_drake.method.units import Units
 from dtmpc_drake.numerics.arrays import Array, euclidean_norm
 
 MOST_READ = 4
@@ -45,6 +46,11 @@ class Norm:
     matrix: Array | None
     offset: Array | None
     bound: float
+
+    def in_unit(self, unit: float) -> Norm:
+        """The same of a z in another unit."""
+        offset = None if self.offset is None else self.offset / unit
+        return Norm(self.matrix, offset, self.bound / unit)
 
     def _parts(self, m: int) -> tuple[Array, Array, Array | None]:
         """P, q, and the signs of the corners of a box that P reads, ``(2^k, m)``."""
@@ -111,9 +117,13 @@ class DerivativeNorm(ConvexLimit):
         return f"{DERIVATIVES[self.of]}_norm"
 
     @property
-    def size(self) -> float:
+    def size(self) -> float | None:
         """See base class."""
-        return self.norm.bound
+        return self.norm.bound if self.of else None
+
+    def in_units(self, units: Units, order: int) -> DerivativeNorm:
+        """See base class."""
+        return DerivativeNorm(self.of, self.norm.in_unit(units.of(self.of)))
 
     def unit(self, law: SlidingLaw) -> str:
         """See base class."""
@@ -139,12 +149,19 @@ class InputNorm(SampledLimit):
     norm: Norm
 
     name: ClassVar[str] = "input_norm"
-    scale: ClassVar[float] = 8.0
 
     @property
     def size(self) -> float:
         """See base class."""
         return self.norm.bound
+
+    def in_units(self, units: Units, order: int) -> InputNorm:
+        """See base class."""
+        return InputNorm(self.norm.in_unit(units.of(order)))
+
+    def worth(self, units: Units, order: int) -> float:
+        """See base class."""
+        return units.of(order)
 
     def unit(self, law: SlidingLaw) -> str:
         """See base class."""

@@ -73,8 +73,9 @@ class ObstacleLimit(Limit):
             values = self._bounds(corridor, start, stride)
             open_ = (values < 0).any(axis=1) & (stride > 1)
             if not open_.all():
-                time = corridor.time[start[~open_]]
-                margin = smallest(time, values[~open_], "m", "")
+                time = corridor.time[start[~open_]] * corridor.units.time
+                left = values[~open_] * corridor.units.length
+                margin = smallest(time, left, "m", "")
                 nearest = int(values[~open_].min(axis=0).argmin())
                 found.append(dataclasses.replace(margin, where=self.where(nearest)))
             stride //= 2

@@ -9,6 +9,7 @@ from dtmpc_drake.checks import Setting
 from dtmpc_drake.limits.base import LinearLimit
 from dtmpc_drake.limits.sides import Sides
 from dtmpc_drake.method.sliding import SlidingLaw
+from dtmpc_drake.method.units import Units
 
 
 @dataclasses.dataclass
@@ -22,11 +23,15 @@ class PositionLimit(Sides, LinearLimit):
 
     name: ClassVar[str] = "position"
     derivative: ClassVar[int] = 0
-    size: ClassVar[float] = 2.5
+    size: ClassVar[None] = None
 
     def unit(self, law: SlidingLaw) -> str:
         """See base class."""
         return "m"
+
+    def in_units(self, units: Units, order: int) -> PositionLimit:
+        """See base class."""
+        return PositionLimit(*self.sides_in(units.length))
 
     def where(self, column: int) -> str:
         """See base class."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -48,6 +49,15 @@ class Sides:
         """What a row is about, ``min of axis 2``."""
         i, column = np.argwhere(np.isfinite(self.both()))[row]
         return f"{'min' if column == 0 else 'max'} of {what} {i}"
+
+    def sides_in(self, unit: float) -> tuple[Any, Any]:
+        """Both sides in another unit."""
+        both = self.min, self.max
+        low, high = (
+            side and [None if bound is None else bound / unit for bound in side]
+            for side in both
+        )
+        return low, high
 
     def check_sides(self, path: str, count: int, unit: str) -> None:
         """Refuses bounds that make no sense.

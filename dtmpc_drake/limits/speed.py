@@ -9,6 +9,7 @@ import numpy as np
 
 from dtmpc_drake.limits.base import LinearLimit
 from dtmpc_drake.method.sliding import SlidingLaw
+from dtmpc_drake.method.units import Units
 from dtmpc_drake.numerics.arrays import Array
 
 
@@ -37,6 +38,12 @@ class SpeedLimit(LinearLimit):
         """Both directions of every axis, one after the other."""
         eye = np.eye(num_outputs)
         return np.stack([eye, -eye], axis=1).reshape(-1, num_outputs)
+
+    def in_units(self, units: Units, order: int) -> SpeedLimit:
+        """See base class."""
+        if isinstance(self.bound, list):
+            return SpeedLimit([bound / units.of(1) for bound in self.bound])
+        return SpeedLimit(self.bound / units.of(1))
 
     @property
     def bounds(self) -> Array | float:

@@ -12,6 +12,7 @@ import numpy as np
 
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.tightening import Instant
+from dtmpc_drake.method.units import Units
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.polynomials import Polynomial
 
@@ -29,6 +30,7 @@ class Corridor:
         reference: y*.
         position_tube: Ω where intervals meet, ``(K + 1, m)``.
         position_curvature: a bound of ``|d²Ω/dt²|``, ``(K, m)``.
+        units: of all this, in those of the user.
     """
 
     time: Array
@@ -36,6 +38,7 @@ class Corridor:
     reference: Polynomial
     position_tube: Array
     position_curvature: Array
+    units: Units = Units()
 
     @property
     def step(self) -> float:
@@ -88,6 +91,27 @@ class Enclosure:
         if k == self.law.order:
             return 0.0  # y*^(n) is linear
         return self.reference.half**2 / 2 * self.reference.largest(k + 2)
+
+    def for_user(self, law: SlidingLaw) -> Enclosure:
+        """The same in the user's units, the controller given in them."""
+        n, units, own = law.order, self.corridor.units, self.corridor
+        rows = units.of_rows(n)
+        corridor = Corridor(
+            time=own.time * units.time,
+            parts=own.parts,
+            reference=own.reference.in_units(units.length, units.time),
+            position_tube=own.position_tube * units.length,
+            position_curvature=own.position_curvature * units.of(2),
+        )
+        return Enclosure(
+            law=law,
+            corridor=corridor,
+            reference_radius=self.reference_radius * rows,
+            layer=self.layer.in_units(units.of(n - 1), units.time),
+            bandwidth=self.bandwidth.in_units(1 / units.time, units.time),
+            error_bound=self.error_bound * rows,
+            claim_excess=self.claim_excess * rows,
+        )
 
     @cached_property
     def instant(self) -> Instant:

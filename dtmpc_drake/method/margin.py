@@ -46,7 +46,7 @@ class Margin:
     def __str__(self) -> str:
         """For one line of a report."""
         value = f"{self.value:+.4f} {self.unit}".rstrip()
-        if -5e-5 < self.value < 0:  # never a broken limit that reads +0.0000
+        if 0 < abs(self.value) < 5e-5:  # never a broken limit that reads +0.0000
             value = f"{self.value:+.1e} {self.unit}".rstrip()
         return f"{value} at t = {self.time:.2f} s{self._place}"
 

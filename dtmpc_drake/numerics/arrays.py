@@ -13,12 +13,12 @@ Array = npt.NDArray[Any]
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
-_SMOOTHING = 1e-6
+_SMOOTHING = 1e-9
 """Below this speed a norm is rounded off, so that it has a derivative at rest."""
 
 
 def magnitude(v: Array) -> Array:
-    """A differentiable upper bound of abs(v), at most 1e-6 too large."""
+    """A differentiable upper bound of abs(v), at most 1e-9 too large."""
     return np.sqrt(v * v + _SMOOTHING**2)
 
 
@@ -29,7 +29,7 @@ def euclidean_norm(v: Array) -> Array:
         v: shape ``(..., m)``.
 
     Returns:
-        Shape ``(...)``; at most 1e-6 too large.
+        Shape ``(...)``; at most 1e-9 too large.
     """
     if v.strides[-1] != v.itemsize:  # the same order of additions in any memory order
         v = np.ascontiguousarray(v)

@@ -49,6 +49,12 @@ class Polynomial:
         rows = values.reshape(powers, -1, m)
         return cls(rows.swapaxes(0, 1), step / parts / 2)
 
+    def in_units(self, value: float, time: float) -> Polynomial:
+        """The same where units of value and time are so small in these ones."""
+        powers = time ** np.arange(self.derivatives.shape[1])
+        rows = self.derivatives.swapaxes(0, 1) * (value / powers)[:, None, None]
+        return Polynomial(rows.swapaxes(0, 1), self.half * time)
+
     def radius(self, order: int) -> Array:
         """How far a derivative leaves its value at the middle, ``(K, m)``."""
         return self._radii[order]

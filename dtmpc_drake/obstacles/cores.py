@@ -39,6 +39,27 @@ class Group:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
+class InUnits:
+    """Other cores in units of length that are so large.
+
+    Attributes:
+        cores: in the user's unit.
+        length: the new unit in the user's.
+    """
+
+    cores: Cores
+    length: float
+
+    def support(self, member: Indices, direction: FloatArray) -> FloatArray:
+        """See `Cores`."""
+        return self.cores.support(member, direction) / self.length
+
+    def nearest(self, member: Indices, point: FloatArray) -> FloatArray:
+        """See `Cores`."""
+        return self.cores.nearest(member, point * self.length) / self.length
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class CoreStack:
     """Cores of obstacles as stacked arrays.
 

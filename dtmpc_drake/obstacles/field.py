@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from dtmpc_drake.numerics.arrays import Array, BoolArray, FloatArray
 from dtmpc_drake.obstacles.base import OBSTACLES, Indices, Obstacle
-from dtmpc_drake.obstacles.cores import CoreStack, Group
+from dtmpc_drake.obstacles.cores import CoreStack, Group, InUnits
 from dtmpc_drake.obstacles.normals import nearest_of_box
 
 
@@ -76,6 +76,19 @@ class ObstacleSet(CoreStack):
             index=self.index[chosen],
             group=self.group[chosen],
             member=self.member[chosen],
+        )
+
+    def in_units(self, length: float) -> ObstacleSet:
+        """The same obstacles in a unit that is so long."""
+        groups = [
+            dataclasses.replace(group, cores=InUnits(group.cores, length))
+            for group in self.groups
+        ]
+        return dataclasses.replace(
+            self,
+            center=self.center / length,
+            radius=self.radius / length,
+            groups=tuple(groups),
         )
 
     def __len__(self) -> int:

@@ -8,7 +8,13 @@ from collections.abc import Callable
 import numpy as np
 
 from dtmpc_drake.planning.backend import Solution, backend_of
+from dtmpc_drake.planning.canonical import canonical
 from dtmpc_drake.planning.deadline import Deadline
+from dtmpc_drake.planning.for_user import (
+    guess_in_units,
+    report_for_user,
+    result_for_user,
+)
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.planning.proof.certify import OF_THE_SAMPLES, certify
 from dtmpc_drake.planning.search.best_side import plan_best_side
@@ -74,6 +80,16 @@ def plan_problem(
     """
     _check_warm_start(warm_start, problem)
     deadline = Deadline.after(settings.time_limit) if deadline is None else deadline
+    own = canonical(problem)
+    if own is not problem:
+        result = plan_problem(
+            own,
+            settings,
+            report=None if report is None else report_for_user(report, own.units),
+            warm_start=guess_in_units(warm_start, own.units),
+            deadline=deadline,
+        )
+        return result_for_user(result, own.units)
     # A goal that is free has no sides to pass on the way.
     if settings.initial_guess == "best_side" and np.isfinite(problem.goal).all():
         best = plan_best_side(

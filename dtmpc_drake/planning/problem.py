@@ -20,6 +20,7 @@ from dtmpc_drake.limits import (
 )
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.tube import TubeStart, VelocityBound
+from dtmpc_drake.method.units import Units
 from dtmpc_drake.models import ConstantUncertainty, Model
 from dtmpc_drake.numerics.arrays import Array, BoolArray
 from dtmpc_drake.obstacles import ObstacleSet
@@ -49,6 +50,7 @@ class Problem:
         velocity_bound: ``comparison`` or ``paper``.
         start_highest: y*^(n)(t0), if it must be continuous.
         start_bandwidth: α(t0), if it must be continuous.
+        units: of all this in those of the user; see `canonical`.
     """
 
     law: SlidingLaw
@@ -70,6 +72,7 @@ class Problem:
     terminal: tuple[Cost, ...] = ()
     start_highest: Array | None = None
     start_bandwidth: Array | None = None
+    units: Units = Units()
 
     @classmethod
     def from_scenario(

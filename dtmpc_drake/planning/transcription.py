@@ -38,8 +38,15 @@ second where Δ varies and eight are longer than an eighth of a time constant.""
 DEFAULTS = SolverOptions()
 LAST = np.array([-1])
 """The knot at the end."""
+SIZE = 2.5
+"""Of limits of positions, which may be anything, in a problem's own units."""
 STIFF = 4
 """From so many steps in place of one the tube's derivatives are found implicitly."""
+
+
+def size_of(limit: ConvexLimit) -> float:
+    """What a limit is about so large as, in a problem's own units."""
+    return SIZE if limit.size is None else limit.size
 
 
 class Transcription:
@@ -69,7 +76,7 @@ class Transcription:
         self.order, self.outputs = law.order, law.num_outputs
         self.intervals = intervals
         self.step = problem.duration / intervals
-        far = options.obstacle_reach_of_a_step * problem.speed.size * self.step
+        far = options.obstacle_reach_of_a_step * size_of(problem.speed) * self.step
         self.obstacle_reach = reach * max(options.obstacle_reach, far)
         self.degree = self.order + 1
         self.control_degree = max(self.degree, 3)
@@ -203,7 +210,7 @@ class Transcription:
 
     def _convex_margins(self, limit: ConvexLimit, value: Array, spread: Array) -> Array:
         """At control points of the limited derivative, ``(N, c, q)``."""
-        reserve = self.options.convex_reserve * limit.size
+        reserve = self.options.convex_reserve * size_of(limit)
         margin = limit.left(value, spread) - reserve
         # Neighbouring pieces share a control point, and so their margin there.
         shared = np.minimum(margin[1:, 0], margin[:-1, -1])
@@ -333,7 +340,7 @@ class Transcription:
         """Which control points of `Iterate.convex` enter the programs."""
         found = []
         for limit, margin in zip(self.problem.convex, iterate.convex, strict=True):
-            near = margin < self.reach * self.options.convex_reach * limit.size
+            near = margin < self.reach * self.options.convex_reach * size_of(limit)
             near[1:, 0] = False  # the last control point of the piece before
             found.append(np.asarray(near))
         return found
@@ -345,7 +352,8 @@ class Transcription:
 
         def note(margin: float, unit: str, title: str, time: float) -> None:
             if margin < 0:
-                text = f"{title} by {-margin:.3f} {unit} at t = {time:.2f} s"
+                when = time * p.units.time
+                text = f"{title} by {-margin:.3f} {unit} at t = {when:.2f} s"
                 found.append((-margin, text))
 
         planes = iterate.planes
@@ -353,18 +361,21 @@ class Transcription:
             row, point = np.unravel_index(planes.margin.argmin(), planes.margin.shape)
             time = knots[planes.piece[row]] + self.step * point / self.control_degree
             obstacle = p.obstacles.index[planes.obstacle[row]]
-            note(float(planes.margin.min()), "m", f"obstacle {obstacle}", float(time))
+            worst = planes.margin.min() * p.units.length
+            note(float(worst), "m", f"obstacle {obstacle}", float(time))
         for convex, margin in zip(p.convex, iterate.convex, strict=True):
             piece, _, column = np.unravel_index(margin.argmin(), margin.shape)
             where = convex.where(int(column))
             title = f"{convex.title} on {where}" if where else convex.title
-            note(float(margin.min()), convex.unit(law), title, float(knots[piece]))
+            worst = margin.min() * convex.worth(p.units, self.order)
+            note(float(worst), convex.unit(law), title, float(knots[piece]))
         for sampled, margin in zip(p.sampled, iterate.sampled, strict=True):
             node, column = np.unravel_index(margin.argmin(), margin.shape)
             where = sampled.where(int(column))
             title = f"{sampled.title} on {where}" if where else sampled.title
             time = knots[0] + self.step * node / self.tube_steps
-            note(float(margin.min()), sampled.unit(law), title, float(time))
+            worst = margin.min() * sampled.worth(p.units, self.order)
+            note(float(worst), sampled.unit(law), title, float(time))
         return found
 
     # The tube's states in the programs.

@@ -103,8 +103,8 @@ class Iteration:
     Attributes:
         intervals: of the grid that was used.
         cost: of the iterate that the step led to.
-        violation: worst true constraint violation there, in m or m/s, the input's
-            divided by `INPUT_SCALE`.
+        violation: worst true constraint violation there, all limits counted as
+            lengths.
         slack: that the convex program needed.
         defect: largest difference between the program's tube and the exact
             tube at the new iterate, in m.

@@ -39,7 +39,7 @@ from dtmpc_drake.planning.ipopt.rows import (
     bound_rows,
 )
 from dtmpc_drake.planning.iterate import Decisions, Iterate, Local
-from dtmpc_drake.planning.transcription import Transcription
+from dtmpc_drake.planning.transcription import Transcription, size_of
 from dtmpc_drake.records.result import Iteration
 
 ROUNDS = 4
@@ -231,7 +231,7 @@ class _Program:
 
             # y*^(n) at the knots, and a bound that is no state.
             at_knots = np.concatenate([margin[:, 0], margin[-1:, 1]])
-            reach = tr.reach * tr.options.convex_reach * limit.size
+            reach = tr.reach * tr.options.convex_reach * size_of(limit)
             close = np.flatnonzero((at_knots < reach).any(axis=1))
             self._add_limit(close, used, at_knots)
 

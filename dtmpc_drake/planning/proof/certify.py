@@ -15,6 +15,7 @@ import numpy as np
 from dtmpc_drake.limits import ObstacleLimit
 from dtmpc_drake.method.enclosure import Enclosure
 from dtmpc_drake.method.margin import Margin, smallest
+from dtmpc_drake.planning.canonical import canonical, plan_in_units
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.planning.proof.consistency import consistency_margins, plan_faults
 from dtmpc_drake.planning.proof.enclosure import claimed_corridor, enclose
@@ -56,6 +57,7 @@ def certify(plan: Plan, problem: Problem) -> Certificate:
     faults = plan_faults(plan, problem)
     if faults:
         return Certificate({}, proven, faults)
+    plan, problem = _in_own_units(plan, problem)
     values: dict[str, float] = {}
     # What is not a number is found at the end; nothing may be lost before.
     with np.errstate(all="ignore"):
@@ -68,7 +70,9 @@ def certify(plan: Plan, problem: Problem) -> Certificate:
             if certificate.kept:
                 break
             name, margin = certificate.worst
-            hopeless = name == "obstacles" and margin.value < -CLOSE
+            hopeless = (
+                name == "obstacles" and margin.value < -CLOSE * problem.units.length
+            )
             # What shorter intervals gain is of first order in their length, so it
             # will not be more than it was.
             gained = margin.value - values.get(name, -np.inf)
@@ -79,9 +83,19 @@ def certify(plan: Plan, problem: Problem) -> Certificate:
     return certificate
 
 
+def _in_own_units(plan: Plan, problem: Problem) -> tuple[Plan, Problem]:
+    """In which all tolerances here are; a problem in them comes with such a plan."""
+    own = canonical(problem)
+    if own is not problem:
+        with np.errstate(all="ignore"):
+            plan = plan_in_units(plan, own.units)
+    return plan, own
+
+
 def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Margin]:
     """Every margin by name."""
-    n, time = problem.law.order, enclosure.time
+    n, units = problem.law.order, problem.units
+    time = enclosure.time * units.time
     margins: dict[str, Margin] = {}
     own = set(map(id, problem.other_limits))
     for limit in problem.limits:
@@ -89,6 +103,7 @@ def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Ma
             margins |= limit.certify(enclosure)
     margins |= problem.bandwidth.certify(enclosure)
     thinnest = enclosure.layer.derivatives[:, 0] - enclosure.layer.radius(0)
+    thinnest = thinnest * units.of(n - 1)
     margins["boundary_layer"] = smallest(time, thinnest, "m/s", "axis")
     tolerance = np.full((n, 1), TUBE_TOLERANCE)
     tolerance[-1] = TOP_TOLERANCE if n > 1 else TUBE_TOLERANCE
@@ -117,7 +132,10 @@ def clearance_ahead(plan: Plan, problem: Problem, start: float) -> Margin:
         problem: gives the obstacles, at least one; others than it was planned for.
         start: in s.
     """
-    corridor = claimed_corridor(plan, longest=INTERVALS[0], slack=TUBE_TOLERANCE)
+    plan, problem = _in_own_units(plan, problem)
+    corridor = claimed_corridor(
+        plan, longest=INTERVALS[0], slack=TUBE_TOLERANCE, units=problem.units
+    )
     return ObstacleLimit(problem.obstacles, problem.tube_margin).clearance(
-        corridor, start
+        corridor, start / problem.units.time
     )

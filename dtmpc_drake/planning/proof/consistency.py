@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from dtmpc_drake.method.margin import Margin, smallest
@@ -53,25 +55,27 @@ def consistency_margins(plan: Plan, problem: Problem) -> dict[str, Margin]:
         plan: without `plan_faults`.
         problem: that it should solve.
     """
-    n, m = plan.order, plan.num_outputs
+    n, m, unit = plan.order, plan.num_outputs, problem.units.time
     margins: dict[str, Margin] = {}
     jumps = [
         *_jumps(plan.coefficients, plan.knots, n, "y*"),
         *_jumps(plan.layer_coefficients, plan.tube_times, 2, "Φ*"),
     ]
     if jumps:
-        margins["continuity"] = min(jumps, key=lambda margin: margin.value)
+        worst = min(jumps, key=lambda margin: margin.value)
+        margins["continuity"] = dataclasses.replace(worst, time=worst.time * unit)
     time = np.array([plan.start_time, plan.end_time])
     wanted = np.array([problem.start_time, problem.start_time + problem.duration])
     allowed = TIME_TOLERANCE * (1 + np.abs(wanted).max())
-    margins["time"] = _both(time, allowed - np.abs(time - wanted), "s", "of the plan")
+    left = (allowed - np.abs(time - wanted))[:, None] * unit
+    margins["time"] = smallest(time * unit, left, "s", ["of the plan"])
 
     rows = [f"y*^({k}) on axis {i}" for k in range(n) for i in range(m)]
     ends = plan.reference(time)[:, :n]
     missing = np.abs(ends - np.stack([problem.start, problem.goal]))
     missing[1, [k for k in range(n) if k not in problem.goal_rows]] = 0.0
     left = END_TOLERANCE - missing.reshape(2, -1)
-    margins["ends"] = smallest(time, left, "", rows)
+    margins["ends"] = smallest(time * unit, left, "", rows)
 
     first = plan.reference(time[0])
     layer, layer_rate = plan.layer(time[0])
@@ -87,12 +91,9 @@ def consistency_margins(plan: Plan, problem: Problem) -> dict[str, Margin]:
             allowed = HAND_OVER_TOLERANCE * (1e-3 + np.abs(wish))
             left.append(allowed - np.abs(value - wish))
             names += [f"{name} on axis {i}" for i in range(m)]
-    margins["hand_over"] = smallest(time[:1], np.concatenate(left)[None], "", names)
+    hand_over = np.concatenate(left)[None]
+    margins["hand_over"] = smallest(time[:1] * unit, hand_over, "", names)
     return margins
-
-
-def _both(time: Array, values: Array, unit: str, what: str) -> Margin:
-    return smallest(time, values[:, None], unit, [what])
 
 
 def _jumps(powers: Array, grid: Array, count: int, name: str) -> list[Margin]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from dtmpc_drake.method.enclosure import THINNEST, Corridor, Enclosure
 from dtmpc_drake.method.tube import cascade_bound, comparison_forcing, propagate_cascade
+from dtmpc_drake.method.units import Units
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.filters import half_grid, integrate_filter
 from dtmpc_drake.numerics.polynomials import Polynomial, hermite_powers
@@ -105,6 +106,7 @@ def enclose(
             reference=reference,
             position_tube=stages[:, 0],
             position_curvature=curvature[:, 0],
+            units=problem.units,
         ),
         reference_radius=np.stack([reference.radius(k) for k in range(n)], axis=1),
         layer=layer,
@@ -114,13 +116,16 @@ def enclose(
     )
 
 
-def claimed_corridor(plan: Plan, *, longest: float, slack: float) -> Corridor:
+def claimed_corridor(
+    plan: Plan, *, longest: float, slack: float, units: Units
+) -> Corridor:
     """The tube that a certified plan carries, made wider by what it may lack.
 
     Args:
         plan: whose own tube is taken for granted.
         longest: interval, in s.
-        slack: what is added to Ω, in m.
+        slack: what is added to Ω.
+        units: of all this, in those of the user.
 
     Raises:
         ValueError: if the plan's grids are not uniform, one within the other.
@@ -133,6 +138,7 @@ def claimed_corridor(plan: Plan, *, longest: float, slack: float) -> Corridor:
         reference=pieces.reference(),
         position_tube=tube.at_ends() + slack,
         position_curvature=tube.largest(2),
+        units=units,
     )
 
 
