@@ -13,6 +13,7 @@ from dtmpc_drake.costs import Cost, Weight
 from dtmpc_drake.disturbances import Disturbance, UniformHold
 from dtmpc_drake.limits import InputRange, Limit, NormLimit, PositionLimit
 from dtmpc_drake.method.sliding import SlidingLaw
+from dtmpc_drake.method.units import Units
 from dtmpc_drake.models import ConstantUncertainty, DragDoubleIntegrator, Model
 from dtmpc_drake.numerics.arrays import Array, BoolArray
 from dtmpc_drake.obstacles import Obstacle, ObstacleSet
@@ -460,6 +461,12 @@ class Scenario:
             slope=self.slope(),
             disturbance_bound=self.disturbance_bound(),
             reaching_rate=self.controller.reaching_rate,
+        )
+
+    def own_units(self) -> Units:
+        """Those in which all problems look alike, in the user's."""
+        return Units.own(
+            speed=self.limits.fastest, slope=self.slope(), order=self.model.order
         )
 
     def slope(self) -> Array:

@@ -31,7 +31,6 @@ import numpy as np
 
 from dtmpc_drake.disturbances.base import DISTURBANCES, LOOK
 from dtmpc_drake.errors import ScenarioError, require
-from dtmpc_drake.method.units import Units
 from dtmpc_drake.scenario.schema import Scenario
 
 MEMORY = 4 * 2**30
@@ -94,12 +93,7 @@ def _rates(scenario: Scenario) -> dict[str, float]:
 def certificate_intervals(scenario: Scenario) -> int:
     """Intervals of the finest certificate; see `planning.proof.enclosure`."""
     count = scenario.planner.intervals * tube_steps(scenario)[0]
-    units = Units.own(
-        speed=scenario.limits.fastest,
-        slope=scenario.slope(),
-        order=scenario.model.order,
-    )
-    duration = scenario.duration / units.time
+    duration = scenario.duration / scenario.own_units().time
     longest = max(5e-4, min(16e-3, duration / 2**19))
     finer = math.ceil(math.log2(max(duration / count / longest, 1.0)))
     return int(count * 2**finer)

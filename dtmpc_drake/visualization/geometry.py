@@ -13,7 +13,11 @@ from dtmpc_drake.limits import PositionLimit
 from dtmpc_drake.numerics.arrays import FloatArray
 from dtmpc_drake.obstacles import ObstacleSet
 from dtmpc_drake.obstacles.drawing import Mesh, Outline, Solid, outlines, solids
+from dtmpc_drake.records.plan import Plan
+from dtmpc_drake.visualization.style import drawn_period
 
+TUBE_PERIOD = 0.05
+"""Between two rings of a drawn tube, in s."""
 NEAR = 0.12
 """What is beside a flight by less than this part of its length is in the picture."""
 
@@ -28,6 +32,13 @@ def embedding(num_outputs: int) -> FloatArray:
 def missing_axes(num_outputs: int) -> FloatArray:
     """One for every axis of the picture that no output moves along, ``(3,)``."""
     return 1.0 - embedding(num_outputs).sum(axis=1)
+
+
+def tube_box(plan: Plan) -> tuple[FloatArray, FloatArray]:
+    """Two corners of a box that holds a plan's tube, ``(m,)`` each."""
+    samples = plan.sample(drawn_period(plan, TUBE_PERIOD))
+    center, half = samples["position"], samples["position_tube"]
+    return (center - half).min(axis=0), (center + half).max(axis=0)
 
 
 def position_bounds(limit: PositionLimit | None, num_outputs: int) -> FloatArray:
@@ -54,10 +65,25 @@ def near_bounds(bounds: FloatArray, low: FloatArray, high: FloatArray) -> FloatA
 
 
 def obstacle_sections(
-    obstacles: ObstacleSet, position: FloatArray, position_tube: FloatArray
+    obstacles: ObstacleSet,
+    position: FloatArray,
+    position_tube: FloatArray,
+    order: tuple[int, int] = (0, 1),
 ) -> list[tuple[Outline | None, Outline]]:
-    """Every obstacle as seen from above; see `drawing.outlines`."""
-    return outlines(obstacles, embedding(position.shape[1]), position, position_tube)
+    """Every obstacle as seen along an axis, from above if left out.
+
+    Args:
+        obstacles: of a vehicle with two outputs or more.
+        position: y* at some times, ``(K, m)``.
+        position_tube: Ω, ``(K, m)``.
+        order: the outputs along the picture's axes, two of the first three.
+
+    Returns:
+        As `drawing.outlines`, whose x, y and z are those axes and the one looked along.
+    """
+    E = embedding(position.shape[1])
+    seen = [*order, 3 - sum(order)]
+    return outlines(obstacles, E[seen], position, position_tube)
 
 
 def obstacle_solids(

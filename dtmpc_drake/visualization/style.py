@@ -1,9 +1,8 @@
-"""Colours and units that the replay and the figures share."""
+"""Colours that the replay and the figures share."""
 
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Iterable, Sequence
 from typing import Literal
 
@@ -39,15 +38,18 @@ _CLOUDS = (SKY_BLUE, PURPLE, ORANGE, GREEN, BLUE)
 # Both are perceptually uniform: dark blue to yellow, and dark to peach.
 _RANGES = {"bandwidth": ("viridis", 0.12, 1.0), "speed": ("magma", 0.08, 0.86)}
 
-_MOST_SAMPLES = 4000  # of a drawn plan: more than any picture shows
+_LEAST_SAMPLES = 100  # of a drawn plan: fewer would show corners
+_MOST_SAMPLES = 4000  # more than any picture shows
 
 
 def drawn_period(plan: Plan, period: float) -> float:
     """The period to draw a plan with, in s: a longer one where the plan is long.
 
-    Else the time and the size of a picture would grow with a flight without end.
+    Else the time and the size of a picture would grow with a flight without end.  A
+    shorter one where it is short.
     """
-    return max(period, (plan.end_time - plan.start_time) / _MOST_SAMPLES)
+    duration = plan.end_time - plan.start_time
+    return float(np.clip(period, duration / _MOST_SAMPLES, duration / _LEAST_SAMPLES))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -56,7 +58,7 @@ class Coloring:
 
     Attributes:
         label: of the colour bar, without the unit.
-        unit: of the values.
+        unit: of the values, for a reader.
         values: one per sample, ``(K,)``.
         low, high: values at both ends of the colour map.
         colormap: from `low` to `high`.
@@ -76,6 +78,7 @@ class Coloring:
         time: FloatArray,
         color_by: ColorBy,
         among: Sequence[Plan] = (),
+        speed_unit: str = "",
     ) -> Coloring:
         """The colours of a plan at some times.
 
@@ -85,6 +88,7 @@ class Coloring:
             color_by: ``bandwidth``, the largest α over the outputs, or
                 ``speed``, the norm of the reference's velocity.
             among: plans whose ranges count instead of this one's.
+            speed_unit: for a reader, as from `Model.derivative_unit`.
 
         Raises:
             ValueError: if `color_by` is neither.
@@ -94,7 +98,7 @@ class Coloring:
             label += " (largest over the axes)" if plan.num_outputs > 1 else ""
             unit = "rad/s"
         elif color_by == "speed":
-            label, unit = "speed", unit_of(1)
+            label, unit = "speed", speed_unit
         else:
             raise ValueError(f"color_by: got {color_by!r}, not bandwidth or speed")
         every = np.concatenate(
@@ -132,24 +136,3 @@ def cloud_colors(names: Iterable[str]) -> dict[str, str]:
     listed = list(names)
     first = len(_CLOUDS) - len(listed)
     return {n: _CLOUDS[i % len(_CLOUDS)] for i, n in enumerate(listed, start=first)}
-
-
-def unit_of(derivative: int) -> str:
-    """The unit of a derivative of an output: m, m/s, m/s², ..."""
-    return {0: "m", 1: "m/s"}.get(derivative, plain_unit(f"m/s^{derivative}"))
-
-
-def plain_unit(unit: str) -> str:
-    """A unit as a reader knows it: m/s² for ``m/s^2``."""
-    return re.sub(
-        r"\^(\d+)",
-        lambda power: power[1].translate(str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")),
-        unit,
-    )
-
-
-def axis_name(output: int, num_outputs: int) -> str:
-    """What an output is called: x, y, z of a vehicle, or just a number."""
-    if num_outputs == 1:
-        return "y"
-    return "xyz"[output] if num_outputs <= 3 else f"y{output + 1}"

@@ -61,8 +61,9 @@ def plot_candidates(
     colors = Normalize(np.log(costs.min()), np.log(1.05 * costs.max()))
     low, high = view.window()
     lines = [view.seen(c.path) for c in candidates]
-    low = np.min([low, *(line.min(axis=0) - 0.2 for line in lines)], axis=0)
-    high = np.max([high, *(line.max(axis=0) + 0.2 for line in lines)], axis=0)
+    air = 0.008 * float((high - low).max())
+    low = np.min([low, *(line.min(axis=0) - air for line in lines)], axis=0)
+    high = np.max([high, *(line.max(axis=0) + air for line in lines)], axis=0)
     width, height = high - low
     rise = float(np.clip(0.9 * WIDTH * height / width, 1.0, 6.0))
     figure = Figure(figsize=(WIDTH, rise + 3.3), dpi=150, layout="constrained")
@@ -77,7 +78,7 @@ def plot_candidates(
         else:
             field.plot(*line.T, color=GREY, lw=0.8, ls=":", zorder=3.4)
     for number, (_, silhouette) in enumerate(view.obstacles):
-        middle = view.seen(silhouette.outline()).mean(axis=0)
+        middle = silhouette.outline().mean(axis=0)
         if (middle > low).all() and (middle < high).all():
             field.annotate(f"{number}", middle, ha="center", va="center", color="white")
     _draw_bars(bars, good[:_MOST], colors)

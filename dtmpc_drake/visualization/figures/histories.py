@@ -13,14 +13,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from dtmpc_drake.method.sliding import sliding_variable
 from dtmpc_drake.limits import ConvexLimit, Limit
+from dtmpc_drake.method.sliding import sliding_variable
 from dtmpc_drake.method.tightening import (
     Instant,
     deviation_bound,
     input_bound,
     input_range,
 )
+from dtmpc_drake.models import Model
 from dtmpc_drake.numerics.arrays import Array, FloatArray
 from dtmpc_drake.records.flight import Flight
 from dtmpc_drake.records.plan import Plan
@@ -35,10 +36,7 @@ from dtmpc_drake.visualization.style import (
     PALE_BLUE,
     PALER_GREEN,
     VERMILION,
-    axis_name,
     drawn_period,
-    plain_unit,
-    unit_of,
 )
 
 _PLANNED: dict[str, Any] = {"color": BLUE, "lw": 1.5}
@@ -79,7 +77,7 @@ def plot_histories(
     """
     planned = _Planned.of(scenario, plan)
     n, m = plan.order, plan.num_outputs
-    limits = scenario.limits
+    model, limits = scenario.model, scenario.limits
     rows = ["position", "error", "sliding", "bandwidth", "speed", "inputs"]
     if n == 1:
         rows.remove("sliding")  # s is the error itself
@@ -94,10 +92,12 @@ def plot_histories(
     near = near_bounds(position_bounds(limits.position, m), *planned.box)
     for i in range(m):
         column = {name: panels[name, i] for name in rows}
-        title = f"along {axis_name(i, m)}" if m > 1 else ""
+        title = f"along {model.output_names[i]}" if m > 1 else ""
         column["position"].set_title(title, fontsize=10)
         _draw_planned_position(planned, near[i], column["position"], i)
         _draw_planned(scenario, planned, column, i)
+        if "inputs" in column:
+            column["inputs"].set_title(model.input_names[i], fontsize=9, loc="left")
         if flight is not None:
             error = flight.state - plan.reference(flight.time)[:, :n]
             _draw_flown(flight, error, scenario.slope(), column, i)
@@ -106,19 +106,10 @@ def plot_histories(
     if flight is not None:
         norm = np.linalg.norm(flight.control, axis=1)
         bottom.plot(flight.time, norm, **_FLOWN)
-    labels = {
-        "position": f"position y\n({unit_of(0)})",
-        "error": f"tracking\nerror ỹ ({unit_of(0)})",
-        "sliding": f"sliding\nvariable s ({unit_of(n - 1)})",
-        "bandwidth": "bandwidth α\n(rad/s)",
-        "speed": f"speed |ẏ|\n({unit_of(1)})",
-        "inputs": f"each input u\n({unit_of(n)})",
-    }
-    if n == 1:
-        labels["error"] = f"tracking\nerror ỹ = s ({unit_of(0)})"
+    labels = _labels(model)
     for name in rows:
         panels[name, 0].set_ylabel(labels[name])
-    bottom.set_ylabel(f"input norm ‖u‖\n({unit_of(n)})")
+    bottom.set_ylabel(f"input norm ‖u‖\n({model.derivative_unit(n)})")
     for (limit, title), axes in zip(others, bottoms[1:], strict=True):
         _draw_what_is_left(scenario, planned, limit, axes, flight)
         axes.set_title(title, fontsize=9, loc="left")
@@ -145,6 +136,20 @@ def plot_histories(
     return figure
 
 
+def _labels(model: Model) -> dict[str, str]:
+    """Of the rows, with their units."""
+    n, unit = model.order, model.derivative_unit
+    error = "error ỹ = s" if n == 1 else "error ỹ"
+    return {
+        "position": f"position y\n({unit(0)})",
+        "error": f"tracking\n{error} ({unit(0)})",
+        "sliding": f"sliding\nvariable s ({unit(n - 1)})",
+        "bandwidth": "bandwidth α\n(rad/s)",
+        "speed": f"speed |ẏ|\n({unit(1)})",
+        "inputs": f"each input u\n({unit(n)})",
+    }
+
+
 def _others(scenario: Scenario) -> list[tuple[Limit, str]]:
     """Limits that have a panel of their own, and its title."""
     law, others = scenario.sliding_law(), list[tuple[Limit, str]]()
@@ -152,7 +157,7 @@ def _others(scenario: Scenario) -> list[tuple[Limit, str]]:
         limit = norm.limit()
         what = ("" if norm.matrix is None else "P ") + _SYMBOLS[norm.of]
         what += "" if norm.offset is None else " + q"
-        text = f"‖{what}‖ ≤ {norm.bound:g} {plain_unit(limit.unit(law))}"
+        text = f"‖{what}‖ ≤ {norm.bound:g} {limit.unit(law)}"
         others.append((limit, f"what is left of limits.norms[{i}], {text}"))
     for i, own in enumerate(scenario.limits.own):
         others.append((own, f"what is left of limits.own[{i}], the {own.title}"))
@@ -337,7 +342,7 @@ def _draw_what_is_left(
         axes.plot(time, margins.min(axis=-1), **style)
     low, high = axes.get_ylim()
     axes.set_ylim(min(low, -0.08 * high), high)  # the line of zero inside
-    axes.set_ylabel(f"left\n({plain_unit(limit.unit(law))})")
+    axes.set_ylabel(f"left\n({limit.unit(law)})")
 
 
 def _draw_flown(

@@ -1,4 +1,4 @@
-"""The figure of one plan: from above or, of a single output, over time."""
+"""The figure of one plan: from above and the side or, of one output, over time."""
 
 from __future__ import annotations
 
@@ -19,12 +19,14 @@ from dtmpc_drake.visualization.figures.view import (
     PERIOD,
     WIDTH,
     View,
+    Window,
     add_color_bar,
     add_legend,
     colored_line,
     draw_fence,
 )
 from dtmpc_drake.visualization.geometry import near_bounds, position_bounds
+from dtmpc_drake.visualization.scale import decimals
 from dtmpc_drake.visualization.style import (
     BLACK,
     EDGE,
@@ -52,8 +54,9 @@ def plot_plan(
     reference.  Two insets show the narrowest passage and the place where the
     tube comes closest to an obstacle elsewhere.  Each obstacle is filled where
     the tube could meet it at its own altitude; where it is wider above or below,
-    that part is a dashed outline.  Beyond the bounds of the position it is hatched.  A
-    single output is drawn over time instead.
+    that part is a dashed outline.  Beyond the bounds of the position it is hatched;
+    where a floor or a ceiling is near, there is a look from the side, too.  A single
+    output is drawn over time instead.
 
     Args:
         scenario: gives the obstacles and bounds.
@@ -78,44 +81,67 @@ def _plot_from_above(
     scenario: Scenario, plan: Plan, clouds: list[Cloud], color_by: ColorBy
 ) -> Figure:
     view = View.of(scenario, plan, color_by, clouds=clouds)
-    low, high = view.window()
-    width, height = high - low
+    window = view.window()
+    width = float(window[1][0] - window[0][0])
     # Insets pay where the tube is thin beside the whole picture.
-    span = 0.15 * width * np.array([1.0, _INSET_RATIO])
+    across = float(np.median(view.half[:, 1]))
+    reach = min(0.15 * width, 60.0 * across) if across > 0 else 0.15 * width
+    span = reach * np.array([1.0, _INSET_RATIO])
     spots = []
-    if scenario.obstacles and 4.0 * np.median(view.half[:, 1]) < span[1]:
+    if scenario.obstacles and 4.0 * across < span[1]:
         spots = _tight_spots(scenario, view, span[0] / 2)
+    looks = [(view, window)]
+    if _has_a_floor_near(view):
+        side = view.from_the_side(scenario)
+        looks.append((side, _over(window, side.window())))
 
     # Rows as tall as what they show at equal scales, labels apart.
-    rise = float(np.clip(0.835 * WIDTH * height / width, 1.0, 6.0))
-    below = 0.38 * WIDTH * _INSET_RATIO if spots else 0.0
-    extra = 0.9 + (0.85 if spots else 0.0)
-    figure = Figure(figsize=(WIDTH, rise + below + extra), dpi=150)
+    rises = [
+        float(np.clip(0.835 * WIDTH * (high[1] - low[1]) / width, 1.0, 6.0))
+        for _, (low, high) in looks
+    ]
+    below = [0.38 * WIDTH * _INSET_RATIO] if spots else []
+    extra = 0.9 + 0.5 * (len(looks) - 1) + 0.85 * len(below)
+    figure = Figure(figsize=(WIDTH, sum(rises) + sum(below) + extra), dpi=150)
     figure.set_layout_engine("constrained")
-    grid = figure.add_gridspec(
-        2 if spots else 1,
-        4,
-        height_ratios=[rise, below] if spots else [rise],
-    )
-    main = figure.add_subplot(grid[0, :])
-    view.draw(main, (low, high))
-    panels = [main]
+    rows = len(rises) + len(below)
+    grid = figure.add_gridspec(rows, 4, height_ratios=rises + below)
+    panels = [figure.add_subplot(grid[row, :]) for row in range(len(looks))]
+    for panel, (look, seen) in zip(panels, looks, strict=True):
+        look.draw(panel, seen)
+    digits = decimals(width) + 2
     for i, (title, k, clearance) in enumerate(spots):
         column = 2 * i if len(spots) > 1 else 1
-        panel = figure.add_subplot(grid[1, column : column + 2])
+        panel = figure.add_subplot(grid[-1, column : column + 2])
         corner = view.center[k] - span / 2
         view.draw(panel, (corner, corner + span), line_width=3.8)
         panel.set_title(
-            f"{title}: tube {abs(clearance):.3f} m "
+            f"{title}: tube {abs(clearance):.{digits}f}"
+            f" {scenario.model.derivative_unit(0)} "
             + ("from an obstacle" if clearance >= 0 else "inside an obstacle"),
             fontsize=9,
         )
-        _connect(figure, main, panel)
+        _connect(figure, panels[0], panel)
         panels.append(panel)
     add_color_bar(figure, panels, view.coloring)
-    fenced = bool(view.fences((low, high)))
+    fenced = any(look.fences(seen) for look, seen in looks)
     add_legend(figure, scenario, view.coloring, clouds, fenced=fenced)
     return figure
+
+
+def _has_a_floor_near(view: View) -> bool:
+    """Whether a look from the side shows a bound that one from above does not."""
+    if len(view.bounds) < 3:
+        return False
+    center, half = view.samples["position"], view.samples["position_tube"]
+    low, high = (center - half).min(axis=0), (center + half).max(axis=0)
+    return bool(np.isfinite(near_bounds(view.bounds, low, high)[2]).any())
+
+
+def _over(window: Window, other: Window) -> Window:
+    """Another window as wide as the first one."""
+    (low, high), (below, above) = window, other
+    return np.array([low[0], below[1]]), np.array([high[0], above[1]])
 
 
 def _connect(figure: Figure, main: Axes, panel: Axes) -> None:
@@ -143,7 +169,7 @@ def _tight_spots(
     Args:
         scenario: gives the obstacles, at least one.
         view: of the plan.
-        reach: how far a look goes, in m.
+        reach: how far a look goes.
 
     Returns:
         Title, sample, and the smallest clearance of the drawn tube in reach.
@@ -163,7 +189,8 @@ def _tight_spots(
         away &= np.linalg.norm(position - position[k], axis=1) > 2 * reach
     if away.any():
         # Of several equally close places, the one in the middle.
-        near = np.flatnonzero(away & (clearance < clearance[away].min() + 0.01))
+        equally = clearance[away].min() + 0.005 * reach
+        near = np.flatnonzero(away & (clearance < equally))
         samples.append(int(near[len(near) // 2]))
     spots = []
     for title, k in zip(titles, samples, strict=False):
@@ -182,7 +209,8 @@ def _plot_over_time(
     samples = plan.sample(drawn_period(plan, PERIOD))
     now, center = samples["time"], samples["position"][:, 0]
     half = samples["position_tube"][:, 0]
-    coloring = Coloring.along(plan, now, color_by)
+    model = scenario.model
+    coloring = Coloring.along(plan, now, color_by, speed_unit=model.derivative_unit(1))
     figure = Figure(figsize=(7.0, 3.6), dpi=150, layout="constrained")
     axes = figure.add_subplot()
     axes.fill_between(now, center - half, center + half, fc=PALE_BLUE, ec="none")
@@ -214,7 +242,7 @@ def _plot_over_time(
             draw_fence(axes, 1, fence, fence + out * 2 * (top - bottom))
     axes.set_ylim(bottom, top)
     axes.set_xlabel("time (s)")
-    axes.set_ylabel("position y (m)")
+    axes.set_ylabel(f"{model.output_names[0]} ({model.derivative_unit(0)})")
     add_color_bar(figure, [axes], coloring)
     fenced = bool(np.isfinite(fences).any())
     add_legend(figure, scenario, coloring, clouds, fenced=fenced)

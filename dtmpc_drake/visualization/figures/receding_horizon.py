@@ -127,7 +127,7 @@ def _draw_known(
     with_flight.draw(axes, window)
     for (_, silhouette), is_known in zip(view.obstacles, known, strict=True):
         if not is_known:
-            outline = view.seen(silhouette.outline())
+            outline = silhouette.outline()
             axes.add_patch(Polygon(outline, fc=LIGHT_GREY, ec="none", zorder=1))
             # Above the tube: the plan does not know what it cuts into.
             axes.add_patch(Polygon(outline, fill=False, zorder=3, **_UNKNOWN))

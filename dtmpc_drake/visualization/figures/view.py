@@ -1,4 +1,4 @@
-"""A plan from above: what several figures draw, and how."""
+"""A plan from above or from the side: what several figures draw, and how."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, PathPatch, Polygon
 from matplotlib.path import Path
 
+from dtmpc_drake.models import Model
 from dtmpc_drake.numerics.arrays import FloatArray
 from dtmpc_drake.obstacles.drawing import Outline
 from dtmpc_drake.records.plan import Plan
@@ -38,7 +39,6 @@ from dtmpc_drake.visualization.style import (
     PALE_BLUE,
     ColorBy,
     Coloring,
-    axis_name,
     drawn_period,
 )
 
@@ -64,21 +64,23 @@ Window = tuple[FloatArray, FloatArray]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class View:
-    """What a look from above shows, in any window.
+    """What a look along an axis shows, in any window.
 
     Attributes:
         samples: of the plan, as from `Plan.sample`.
-        order: the outputs along the horizontal and the vertical axis: the longer of
-            the first two goes to the right.
+        order: the outputs along the horizontal and the vertical axis.
+        labels: of both axes.
         coloring: of the samples.
-        obstacles: sections (None if passed above or below) and silhouettes.
-        clouds: flights, in the vehicle's own order of axes.
+        obstacles: sections (None if passed before or behind) and silhouettes, as they
+            are seen.
         bounds: the least and the largest position, ``(m, 2)``; infinite for none.
+        clouds: flights, in the vehicle's own order of axes.
         goal: its position, ``(m,)``, where a plan need not end there.
     """
 
     samples: dict[str, FloatArray]
     order: tuple[int, int]
+    labels: tuple[str, str]
     coloring: Coloring
     obstacles: list[tuple[Outline | None, Outline]]
     bounds: FloatArray
@@ -96,7 +98,9 @@ class View:
         clouds: Sequence[Cloud] = (),
         period: float = PERIOD,
     ) -> View:
-        """A look at a plan with two outputs or more.
+        """A look from above at a plan with two outputs or more.
+
+        The longer one of the first two goes to the right.
 
         Args:
             scenario: gives the obstacles, bounds, and a goal that is soft.
@@ -109,14 +113,31 @@ class View:
         samples = plan.sample(drawn_period(plan, period))
         position, tube = samples["position"], samples["position_tube"]
         along_y = np.ptp(position[:, 1]) >= np.ptp(position[:, 0])
+        order = (1, 0) if along_y else (0, 1)
+        model = scenario.model
         return cls(
             samples=samples,
-            order=(1, 0) if along_y else (0, 1),
-            coloring=Coloring.along(plan, samples["time"], color_by, among),
-            obstacles=obstacle_sections(scenario.obstacle_set(), position, tube),
+            order=order,
+            labels=_labels(model, order),
+            coloring=Coloring.along(
+                plan, samples["time"], color_by, among, model.derivative_unit(1)
+            ),
+            obstacles=obstacle_sections(scenario.obstacle_set(), position, tube, order),
             bounds=position_bounds(scenario.limits.position, plan.num_outputs),
             clouds=clouds,
             goal=scenario.goal_state()[0] if scenario.goal_is_soft else None,
+        )
+
+    def from_the_side(self, scenario: Scenario) -> View:
+        """The same with the third output upwards, of a plan that has one."""
+        order = (self.order[0], 2)
+        position, tube = self.samples["position"], self.samples["position_tube"]
+        obstacles = scenario.obstacle_set()
+        return dataclasses.replace(
+            self,
+            order=order,
+            labels=_labels(scenario.model, order),
+            obstacles=obstacle_sections(obstacles, position, tube, order),
         )
 
     @property
@@ -142,7 +163,7 @@ class View:
         fences = np.where(np.isfinite(fences), fences, [low, high])
         lows, highs = [low, fences[0]], [high, fences[1]]
         for _, silhouette in self.obstacles:
-            outline = self.seen(silhouette.outline())
+            outline = silhouette.outline()
             a, b = outline.min(axis=0), outline.max(axis=0)
             if (a < high + reach).all() and (b > low - reach).all():
                 lows.append(np.maximum(a, low - reach))
@@ -179,11 +200,13 @@ class View:
         colored: bool = True,
     ) -> None:
         """Draws the part in a window; the reference in colours or black."""
+        low, high = window
+        alike = 4e-5 * float((high - low).max())
         for section, silhouette in self.obstacles:
-            outline = self.seen(silhouette.outline())
-            filled = outline if section is None else self.seen(section.outline())
+            outline = silhouette.outline()
+            filled = outline if section is None else section.outline()
             same = filled.shape == outline.shape and np.allclose(
-                filled, outline, atol=1e-3
+                filled, outline, atol=alike
             )
             if section is None or not same:
                 axes.add_patch(
@@ -194,7 +217,7 @@ class View:
                 # Above the tube, so that an attempt shows what it cuts into.
                 axes.add_patch(Polygon(filled, fill=False, ec=EDGE, lw=0.8, zorder=3))
         for axis, bound, out in self.fences(window):
-            far = bound + out * float(window[1][axis] - window[0][axis])
+            far = bound + out * float(high[axis] - low[axis])
             draw_fence(axes, axis, bound, far)
         # Stroke all boxes, then fill them: what stays black is the outline.
         boxes = swept_boxes(self.center - self.half, self.center + self.half)
@@ -213,15 +236,18 @@ class View:
             axes.plot(*self.center.T, color=BLACK, lw=width, zorder=4)
         if self.goal is not None:
             axes.plot(*self.seen(self.goal), **_GOAL)
-        low, high = window
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])
         axes.set_aspect("equal")
         if self.order == (1, 0):
             axes.invert_yaxis()  # with y to the right, x points down
-        names = [axis_name(i, max(self.order) + 1) for i in self.order]
-        axes.set_xlabel(f"{names[0]} (m)")
-        axes.set_ylabel(f"{names[1]} (m)")
+        axes.set_xlabel(self.labels[0])
+        axes.set_ylabel(self.labels[1])
+
+
+def _labels(model: Model, order: tuple[int, int]) -> tuple[str, str]:
+    unit, names = model.derivative_unit(0), model.output_names
+    return f"{names[order[0]]} ({unit})", f"{names[order[1]]} ({unit})"
 
 
 def joint_window(views: Iterable[View]) -> Window:
