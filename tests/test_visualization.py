@@ -215,7 +215,7 @@ def test_single_output_is_drawn_over_time() -> None:
     scenario, plan = planned(2, 1)
     axes = plot_plan(scenario=scenario, plan=plan).axes[0]
     assert axes.get_xlabel() == "time (s)"
-    assert axes.get_ylabel() == "position y (m)"
+    assert axes.get_ylabel() == "position x (m)"
     assert axes.get_ylim()[1] >= 6.5  # the obstacle ahead
 
 

@@ -69,7 +69,7 @@ def legend_html(
     share = np.linspace(0.0, 1.0, 9)
     colors = coloring.rgb(coloring.low + share * (coloring.high - coloring.low))
     ticks = coloring.low + np.array([0.0, 0.5, 1.0]) * (coloring.high - coloring.low)
-    scale, digits = Scale.of(plan), decimals(coloring.high)
+    scale, digits = Scale.of(plan), decimals(coloring.high - coloring.low)
     error = np.abs(position - plan.reference(time)[:, 0])
     ratio = error / np.maximum(plan.position_tube(time), 1e-6 * scale.tube)
     low, high = field_corners(scenario, plan)

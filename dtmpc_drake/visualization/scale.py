@@ -57,8 +57,8 @@ class Scale:
 
 
 def decimals(size: float) -> int:
-    """How many show three digits of a number of this size; none below one."""
-    return int(np.clip(2 - np.floor(np.log10(max(size, 1e-9))), 0, 9))
+    """How many show a hundredth of a number of this size, or of the digit before it."""
+    return int(np.clip(2 - np.trunc(np.log10(max(size, 1e-9))), 0, 9))
 
 
 def _power_of_ten(size: float, usual: float, near: tuple[float, float]) -> float:

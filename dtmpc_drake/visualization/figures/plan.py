@@ -242,7 +242,7 @@ def _plot_over_time(
             draw_fence(axes, 1, fence, fence + out * 2 * (top - bottom))
     axes.set_ylim(bottom, top)
     axes.set_xlabel("time (s)")
-    axes.set_ylabel(f"{model.output_names[0]} ({model.derivative_unit(0)})")
+    axes.set_ylabel(f"position {model.output_names[0]} ({model.derivative_unit(0)})")
     add_color_bar(figure, [axes], coloring)
     fenced = bool(np.isfinite(fences).any())
     add_legend(figure, scenario, coloring, clouds, fenced=fenced)
