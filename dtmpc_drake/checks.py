@@ -17,15 +17,15 @@ RANGES = {
     "s": (1e-6, 1e9),
     "m": (1e-9, 1e9),
     "m/s": (1e-9, 1e9),
-    "m/s²": (1e-12, 1e12),  # and m/s^n
+    "m/s²": (1e-12, 1e12),  # and higher derivatives
     "1/s": (1e-6, 1e6),
     "rad/s": (1e-6, 1e6),
-    "rad/s²": (1e-9, 1e300),  # as good as no limit: α stays in its own range
     "1/m": (1e-9, 1e9),
     "": (1e-9, 1e9),
 }
 """By unit, the smallest number that is not zero and the largest magnitude.  The
-smallest is only asked of what must not be zero."""
+smallest is only asked of what must not be zero.  Any other unit of a length stands in
+the place of the metre."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,11 +36,17 @@ class Setting:
         num_outputs: m, of the model.
         order: n, of the model.
         duration: of the scenario, in s.
+        length_unit: of positions and obstacles.
+        output_units: of every output.
+        input_units: of every input.
     """
 
     num_outputs: int
     order: int
     duration: float
+    length_unit: str
+    output_units: tuple[str, ...]
+    input_units: tuple[str, ...]
 
 
 class Part:
@@ -64,16 +70,33 @@ class Part:
         return
 
 
+def derivative_unit(unit: str, order: int) -> str:
+    """The unit of a derivative, such as ``m/s²``."""
+    power = "".join("⁰¹²³⁴⁵⁶⁷⁸⁹"[int(digit)] for digit in str(order))
+    seconds = {0: "", 1: "/s"}.get(order, f"/s{power}")
+    return f"{unit}{seconds}"
+
+
+def range_of(unit: str) -> tuple[float, float]:
+    """The smallest number and the largest magnitude; see `RANGES`."""
+    if unit in RANGES:
+        return RANGES[unit]
+    above, slash, below = unit.partition("/")
+    if above == "1":
+        return RANGES["1/m"]
+    return RANGES["m/s²" if below not in ("", "s") else f"m{slash}{below}"]
+
+
 def require_positive(field: str, value: float, unit: str) -> None:
     """Requires a number that is greater than zero and in the range of its unit."""
-    low, high = RANGES[unit]
+    low, high = range_of(unit)
     allowed = f"greater than 0 {unit}".rstrip() + f", in [{low:g}, {high:g}]"
     require(field, value, low <= value <= high, allowed)
 
 
 def require_magnitude(field: str, value: float, unit: str) -> None:
     """Requires a number of either sign that is not too large for its unit."""
-    high = RANGES[unit][1]
+    high = range_of(unit)[1]
     allowed = f"in [{-high:g}, {high:g}] {unit}".rstrip()
     require(field, value, abs(value) <= high, allowed)
 

@@ -238,15 +238,15 @@ def test_a_plan_of_another_order_is_told_so(known_result):
 PLANTED = {
     "the reference jumps": (
         {"coefficients": add((slice(20, None), 0, 0), 0.3)},
-        ("continuity", "y* on axis 0"),
+        ("continuity", "y* on axis x"),
     ),
     "its velocity jumps": (
         {"coefficients": add((slice(20, None), 1, 1), 1e-3)},
-        ("continuity", "y*^(1) on axis 1"),
+        ("continuity", "y*^(1) on axis y"),
     ),
     "the layer jumps": (
         {"layer_coefficients": add((slice(100, None), 0, 2), 1e-3)},
-        ("continuity", "Φ* on axis 2"),
+        ("continuity", "Φ* on axis z"),
     ),
     "it starts later": (
         {"knots": add(..., 0.1), "tube_times": add(..., 0.1)},
@@ -270,7 +270,7 @@ PLANTED = {
     ),
     "it starts elsewhere": (
         {"coefficients": add((slice(None), 0, 2), 1e-3)},
-        ("ends", "y*^(0) on axis 2"),
+        ("ends", "y*^(0) on axis z"),
     ),
 }
 

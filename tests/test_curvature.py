@@ -7,7 +7,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from dtmpc_drake.limits import InputLimit
 from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.obstacles.normals import tangent_space
 from dtmpc_drake.planning import Problem, plan
@@ -184,12 +183,11 @@ def test_steps_through_the_inputs_apex_keep_their_promise():
     inside = (nodes > middle.start) & (nodes < middle.stop)
     inside &= (nodes % tr.tube_steps == 0) & (size > 0.05)
     assert inside.sum() > 10
-    actual = reached.sampled[0][nodes, 0] / InputLimit.scale
+    scale = tr.problem.input.scale
+    actual = reached.sampled[0][nodes, 0] / scale
     # Six directions see at least 1/sqrt(3) of a norm; one alone may miss all of it.
-    missed = ((lowest - actual) * InputLimit.scale)[inside] / size[inside]
-    alone = ((promised[: len(nodes)] - actual) * InputLimit.scale)[inside] / size[
-        inside
-    ]
+    missed = ((lowest - actual) * scale)[inside] / size[inside]
+    alone = ((promised[: len(nodes)] - actual) * scale)[inside] / size[inside]
     assert missed.max() < 1 - 1 / np.sqrt(3) + 0.05
     assert alone.max() > 0.9
 

@@ -55,7 +55,7 @@ class Fence(LinearLimit):
     def unit(self, law):
         return "m"
 
-    def where(self, column):
+    def where(self, law, column):
         return f"row {column}"
 
 

@@ -144,12 +144,12 @@ limits:
         (
             "position: {min: [null, null, 1.1]}",
             "start.position",
-            "inside limits.position (min of axis 2), tube included: 0.1 m are missing",
+            "inside limits.position (min of axis z), tube included: 0.1 m are missing",
         ),
         (
             "position: {max: [null, 20.001, null]}",
             "goal.position",
-            "inside limits.position (max of axis 1), tube included",
+            "inside limits.position (max of axis y), tube included",
         ),
         (
             "norms: [{of: position, offset: [0, 0, -1], bound: 15}]",
@@ -168,7 +168,7 @@ def test_bad_limits_get_one_line(text: str, field: str, allowed: str) -> None:
 def test_an_initial_error_counts_where_a_limit_is_near() -> None:
     near = "limits: {position: {min: [null, null, 0.92]}}\n"
     parse_scenario(FIELD + near)
-    with pytest.raises(ScenarioError, match=r"limits.position \(min of axis 2\)"):
+    with pytest.raises(ScenarioError, match=r"limits.position \(min of axis z\)"):
         parse_scenario(FIELD + near + "initial_error: {position: [0, 0, -0.1]}")
 
 
@@ -259,7 +259,7 @@ def test_each_axis_is_held_to_its_own_speed(plans: dict[str, PlanningResult]) ->
     flown = dataclasses.replace(scenario, limits=strict)
     (broken, *_) = Simulate(flown, plan=plans["every speed"].plan).breaches(flown)
     assert broken.what == "speed"
-    assert "(axis 2)" in str(broken) and "at most 0.05 m/s" in str(broken)
+    assert "(axis z)" in str(broken) and "at most 0.05 m/s" in str(broken)
 
 
 def test_a_soft_goal_may_be_out_of_bounds() -> None:

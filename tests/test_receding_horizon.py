@@ -522,7 +522,7 @@ def test_outside_of_its_layer_nothing_is_called_safe(known_result, share) -> Non
         assert decision.status in ("certified", "kept")
     else:
         assert decision.status == "unsafe"
-        assert f"|s|/Φ = {share:.3g} on axis 1" in decision.message
+        assert f"|s|/Φ = {share:.3g} on axis y" in decision.message
 
 
 def test_a_plan_may_be_asked_for_after_its_end(known_result, known_problem) -> None:

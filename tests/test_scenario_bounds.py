@@ -19,6 +19,7 @@ from dtmpc_drake.errors import ScenarioError
 from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain, register_model
 from dtmpc_drake.obstacles import Cylinder, Ellipsoid, Sphere
 from dtmpc_drake.planning import plan
+from dtmpc_drake.planning.canonical import canonical
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.planning.proof.certify import INTERVALS, certify
 from dtmpc_drake.planning.proof.enclosure import enclose
@@ -499,9 +500,8 @@ def test_the_tube_has_the_steps_that_are_counted(
     case: tuple[int, int, int, float, bool],
 ) -> None:
     scenario = sized(*case)
-    transcription = Transcription(
-        Problem.from_scenario(scenario), scenario.planner.intervals
-    )
+    problem = canonical(Problem.from_scenario(scenario))
+    transcription = Transcription(problem, scenario.planner.intervals)
     assert size.tube_steps(scenario) == (
         transcription.tube_steps,
         2 * transcription.substeps,

@@ -69,7 +69,7 @@ def looks(values) -> np.ndarray:
 
 
 def words(values) -> str:
-    found = verdict.breaches(looks(values), limits=LIMITS, order=2)
+    found = verdict.breaches(looks(values), limits=LIMITS, model=DragDoubleIntegrator())
     return verdict.in_one_line(found) if found else ""
 
 
@@ -92,7 +92,7 @@ def test_a_flight_that_keeps_everything_has_no_breach():
         (verdict.VELOCITY, 2.0, "|dỹ/dt|/W 2"),
         (verdict.OBSTACLES, 0.0, "clearance -0 m"),
         (verdict.OBSTACLES, 0.02, "clearance -0.02 m"),
-        (verdict.INPUT, 5.1, "‖u‖ 5.1 m/s^2, but it must be at most 5 m/s^2"),
+        (verdict.INPUT, 5.1, "‖u‖ 5.1 m/s², but it must be at most 5 m/s²"),
         (verdict.SPEED, 2.1, "speed 2.1 m/s, but it must be at most 2 m/s"),
         (verdict.FINITE, 1.0, "not finite from t = 1.000 s on"),
     ],
@@ -112,7 +112,7 @@ def test_what_broke_first_comes_first_and_the_worst_is_said_too():
         ]
     )
     assert line.startswith("the input limit was broken at t = 1.000 s")
-    assert "9 m/s^2 at t = 3.000 s" in line
+    assert "9 m/s² at t = 3.000 s" in line
     assert line.endswith("then layer (t = 2.000 s)")
 
 
@@ -203,7 +203,7 @@ def test_the_last_instant_is_seen(short_plan):
 
 def test_a_state_that_was_not_a_number_once_stays_so(short_plan):
     record = monitored(short_plan, start=0.5, end=0.51, value=np.nan)
-    found = verdict.breaches(record, limits=LIMITS, order=2)
+    found = verdict.breaches(record, limits=LIMITS, model=DragDoubleIntegrator())
     assert found[0].what == "not_finite"
     assert verdict.extremes(record)["worst_position_ratio"] == np.inf
 

@@ -28,6 +28,7 @@ from pydrake.systems.primitives import Adder, ConstantVectorSource, Gain, Random
 from dtmpc_drake.checks import (
     Part,
     Setting,
+    derivative_unit,
     require_length,
     require_magnitude,
 )
@@ -73,8 +74,9 @@ class Disturbance(Part, abc.ABC):
         require_length(f"{path}.bound", self.bound, setting.num_outputs)
         for i, bound in enumerate(self.bound):
             field = f"{path}.bound[{i}]"
-            require_magnitude(field, bound, "m/s²")
-            require(field, bound, bound >= 0, "at least 0 m/s²")
+            unit = derivative_unit(setting.output_units[i], setting.order)
+            require_magnitude(field, bound, unit)
+            require(field, bound, bound >= 0, f"at least 0 {unit}")
 
     def rates(self) -> dict[str, float]:
         """How fast its own systems settle, in 1/s, by what it follows from.

@@ -388,16 +388,16 @@ def to_text(scenario: Scenario, rows: dict[str, Row]) -> str:
     table = text_table(["", *(title for title, _ in columns.values())], lines)
     bandwidth = scenario.controller.bandwidth
     step = RESOLUTION * (bandwidth.max - bandwidth.min)
-    factor = advantage(rows)
+    factor, unit = advantage(rows), scenario.model.length_unit
     legend = [
         *currency_text(scenario),
         "ω_c: mean over time and axes, rad/s; fixed α: the best of a sweep in steps "
         f"down to {step:.3g} rad/s,",
         "of the nominal plan the highest, with which it is flown; plan s: of a whole "
         "sweep;",
-        "tube: Ω over time and axes, m; effort: ∫‖u‖² dt of the median flight;",
+        f"tube: Ω over time and axes, {unit}; effort: ∫‖u‖² dt of the median flight;",
         f"flights through {', '.join(chosen_disturbances(scenario))}; clearance: "
-        "smallest, m;",
+        f"smallest, {unit};",
         "violations: flights that left layer or tubes, broke a limit, were not finite",
     ]
     if factor is not None:

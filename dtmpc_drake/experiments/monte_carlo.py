@@ -199,7 +199,8 @@ class MonteCarlo:
                 "",
                 "distinct: not the same to the last bit; violations: flights that left"
                 " layer or tubes, broke a limit, or were not finite, at any step;",
-                "the largest of all ratios; clearance: smallest, m; effort: ∫‖u‖² dt",
+                "the largest of all ratios; clearance: smallest,"
+                f" {self.scenario.model.length_unit}; effort: ∫‖u‖² dt",
             ]
             lines += [
                 f"{name}: {flown.what_broke()}"

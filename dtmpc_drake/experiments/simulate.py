@@ -10,6 +10,7 @@ from typing import Any
 from dtmpc_drake.diagrams import Simulate
 from dtmpc_drake.diagrams.simulate import Progress
 from dtmpc_drake.experiments.outputs import placed, plain, replacing, write_json
+from dtmpc_drake.models import Model
 from dtmpc_drake.planning import Problem, plan
 from dtmpc_drake.planning.charges import charges
 from dtmpc_drake.records.flight import Flight
@@ -95,16 +96,16 @@ class Experiment:
             lines.append("simulation      none: there is no certified plan to fly")
         else:
             seen = self.log.extremes()
-            n = self.scenario.model.order
-            unit = "m/s" if n == 1 else f"m/s^{n}"
+            model = self.scenario.model
+            length, speed = model.length_unit, model.derivative_unit(1)
             lines += [
                 "simulation      worst"
                 f" |s|/Φ {seen['worst_layer_ratio']:.3f},"
                 f" |ỹ|/Ω {seen['worst_position_ratio']:.3f},"
                 f" |dỹ/dt|/W {seen['worst_velocity_ratio']:.3f}",
-                f"{'':16}smallest clearance {seen['smallest_clearance']:.3f} m",
-                f"{'':16}largest input {seen['largest_input']:.3f} {unit},"
-                f" largest speed {seen['largest_speed']:.3f} m/s",
+                f"{'':16}smallest clearance {seen['smallest_clearance']:.3f} {length}",
+                f"{'':16}largest input {seen['largest_input']:.3f} {model.input_unit},"
+                f" largest speed {seen['largest_speed']:.3f} {speed}",
             ]
             lines.append(f"flight          {flight_verdict(self.breaches)}")
         if self.log is not None and self.log.replans:
@@ -227,6 +228,16 @@ def color_of(scenario: Scenario) -> ColorBy:
     return "bandwidth" if scenario.controller.bandwidth.fixed is None else "speed"
 
 
+def units(model: Model) -> dict[str, Any]:
+    """What the numbers of an experiment are in, by what its outputs are called."""
+    return {
+        "length": model.length_unit,
+        "time": "s",
+        "outputs": dict(zip(model.output_names, model.output_units, strict=True)),
+        "inputs": dict(zip(model.input_names, model.input_units, strict=True)),
+    }
+
+
 def summarize(
     scenario: Scenario, result: PlanningResult, log: Flight | None
 ) -> dict[str, Any]:
@@ -247,6 +258,7 @@ def summarize(
         "message": result.message,
         "backend": result.backend,
         "seed": scenario.simulation.seed,
+        "units": units(scenario.model),
         "margins": {name: dataclasses.asdict(m) for name, m in margins.items()},
         "cost": result.cost,
         "charges": _charges(scenario, result),

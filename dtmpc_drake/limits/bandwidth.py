@@ -65,7 +65,8 @@ class BandwidthLimit:
         """
         law, layer, units = enclosure.law, enclosure.layer, enclosure.corridor.units
         time = enclosure.time * units.time
-        model, middle = law.model, enclosure.reference.derivatives[:, : law.order]
+        model, axes = law.model, law.model.axes
+        middle = enclosure.reference.derivatives[:, : law.order]
         least_error = model.model_error_bound_under(middle, enclosure.reference_radius)
         most_error = model.model_error_bound_over(middle, enclosure.reference_radius)
         thin = layer.derivatives[:, 0] - layer.radius(0)
@@ -86,7 +87,7 @@ class BandwidthLimit:
         allowed = np.abs(own.derivatives[:, 0]) - own.radius(0)
         near = KNOTS_TOLERANCE * allowed * thin + np.minimum(*room(needed))
         margins = {
-            name: smallest(time, left / thick / units.time, "rad/s", "axis")
+            name: smallest(time, left / thick / units.time, "rad/s", axes)
             for name, left in (
                 ("bandwidth_min", above),
                 ("bandwidth_max", below),
@@ -105,7 +106,7 @@ class BandwidthLimit:
                 off = off * layer.largest(1) / thinnest + needed.largest(1)
                 slack = slack - off / thinnest
             slack = slack / units.time**2
-            margins[name] = smallest(time, slack, "rad/s²", "axis")
+            margins[name] = smallest(time, slack, "rad/s²", axes)
         return margins
 
 

@@ -61,8 +61,8 @@ class Limit(Part, abc.ABC):
     def unit(self, law: SlidingLaw) -> str:
         """Of the margins, for messages."""
 
-    def where(self, column: int) -> str:
-        """What a column of the margins is about, ``axis 1`` or nothing."""
+    def where(self, law: SlidingLaw, column: int) -> str:
+        """What a column of the margins is about, ``axis x`` or nothing."""
         return ""
 
     def flown(self, state: Array, control: Array) -> Array | None:
@@ -99,9 +99,9 @@ class Limit(Part, abc.ABC):
         """Its margins of a certificate, by name, in the user's units."""
         values, units = self.proven(enclosure), enclosure.corridor.units
         values = values * self.worth(units, enclosure.law.order)
-        places = [self.where(column) for column in range(values.shape[1])]
-        unit, time = self.unit(enclosure.law), enclosure.time * units.time
-        return {self.name: smallest(time, values, unit, places)}
+        law, time = enclosure.law, enclosure.time * units.time
+        places = [self.where(law, column) for column in range(values.shape[1])]
+        return {self.name: smallest(time, values, self.unit(law), places)}
 
 
 LIMITS: Registry[Limit] = Registry(Limit, "register_limit")

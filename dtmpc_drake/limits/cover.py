@@ -38,11 +38,11 @@ class CoverLimit(SampledLimit):
 
     def unit(self, law: SlidingLaw) -> str:
         """See base class."""
-        return f"m/s^{law.order}"
+        return law.model.derivative_unit(law.order)
 
-    def where(self, column: int) -> str:
+    def where(self, law: SlidingLaw, column: int) -> str:
         """See base class."""
-        return f"axis {column}"
+        return law.model.axes[column]
 
     @property
     def size(self) -> Array:

@@ -45,9 +45,9 @@ class _Translated(Limit):
         """See base class."""
         return self.limit.unit(self.law)
 
-    def where(self, column: int) -> str:
+    def where(self, law: SlidingLaw, column: int) -> str:
         """See base class."""
-        return self.limit.where(column)
+        return self.limit.where(self.law, column)
 
     def margins(self, law: SlidingLaw, at: Instant) -> Array:
         """See base class; in the user's unit."""

@@ -35,7 +35,7 @@ class InputLimit(SampledLimit):
 
     def unit(self, law: SlidingLaw) -> str:
         """See base class."""
-        return f"m/s^{law.order}"
+        return law.model.input_unit
 
     def in_units(self, units: Units, order: int) -> InputLimit:
         """See base class."""

@@ -36,7 +36,7 @@ class InputRange(Sides, SampledLimit):
 
     def unit(self, law: SlidingLaw) -> str:
         """See base class."""
-        return f"m/s^{law.order}"
+        return law.model.input_unit
 
     def in_units(self, units: Units, order: int) -> InputRange:
         """See base class."""
@@ -46,9 +46,9 @@ class InputRange(Sides, SampledLimit):
         """See base class."""
         return units.of(order)
 
-    def where(self, column: int) -> str:
+    def where(self, law: SlidingLaw, column: int) -> str:
         """See base class."""
-        return self.side(column, "input")
+        return self.side(column, law.model.input_names)
 
     def _left(self, middle: Array, spread: Array) -> Array:
         normals = self.normals(middle.shape[-1])
@@ -79,4 +79,4 @@ class InputRange(Sides, SampledLimit):
 
     def check(self, path: str, setting: Setting) -> None:
         """See base class."""
-        self.check_sides(path, setting.num_outputs, "m/s²")
+        self.check_sides(path, setting.input_units)

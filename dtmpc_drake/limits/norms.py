@@ -127,7 +127,7 @@ class DerivativeNorm(ConvexLimit):
 
     def unit(self, law: SlidingLaw) -> str:
         """See base class."""
-        return ("m", "m/s")[self.of] if self.of < 2 else f"m/s^{self.of}"
+        return law.model.derivative_unit(self.of)
 
     def left(self, value: Array, spread: Array) -> Array:
         """See base class."""
@@ -165,7 +165,7 @@ class InputNorm(SampledLimit):
 
     def unit(self, law: SlidingLaw) -> str:
         """See base class."""
-        return f"m/s^{law.order}"
+        return law.model.input_unit
 
     def margins(self, law: SlidingLaw, at: Instant) -> Array:
         """See base class."""

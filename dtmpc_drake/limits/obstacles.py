@@ -34,9 +34,9 @@ class ObstacleLimit(Limit):
 
     def unit(self, law: SlidingLaw) -> str:
         """See base class."""
-        return "m"
+        return law.model.length_unit
 
-    def where(self, column: int) -> str:
+    def where(self, law: SlidingLaw, column: int) -> str:
         """See base class."""
         return f"obstacle {self.field.index[column]}"
 
@@ -52,15 +52,18 @@ class ObstacleLimit(Limit):
 
     def certify(self, enclosure: Enclosure) -> dict[str, Margin]:
         """See base class."""
-        return {self.name: self.clearance(enclosure.corridor)}
+        return {self.name: self.clearance(enclosure.law, enclosure.corridor)}
 
-    def clearance(self, corridor: Corridor, after: float = -np.inf) -> Margin:
+    def clearance(
+        self, law: SlidingLaw, corridor: Corridor, after: float = -np.inf
+    ) -> Margin:
         """The smallest for all times from one on: branch and bound.
 
         An interval is as long as a step of the plan's own tube; those on which the
         bound is negative are halved, down to those of the corridor.
 
         Args:
+            law: the controller.
             corridor: of the plan.
             after: in s.
         """
@@ -75,9 +78,8 @@ class ObstacleLimit(Limit):
             if not open_.all():
                 time = corridor.time[start[~open_]] * corridor.units.time
                 left = values[~open_] * corridor.units.length
-                margin = smallest(time, left, "m", "")
-                nearest = int(values[~open_].min(axis=0).argmin())
-                found.append(dataclasses.replace(margin, where=self.where(nearest)))
+                places = [self.where(law, i) for i in range(left.shape[1])]
+                found.append(smallest(time, left, self.unit(law), places))
             stride //= 2
             start = (start[open_, None] + [0, stride]).ravel()
         return worst(found)

@@ -27,16 +27,16 @@ class PositionLimit(Sides, LinearLimit):
 
     def unit(self, law: SlidingLaw) -> str:
         """See base class."""
-        return "m"
+        return law.model.derivative_unit(0)
 
     def in_units(self, units: Units, order: int) -> PositionLimit:
         """See base class."""
         return PositionLimit(*self.sides_in(units.length))
 
-    def where(self, column: int) -> str:
+    def where(self, law: SlidingLaw, column: int) -> str:
         """See base class."""
-        return self.side(column, "axis")
+        return self.side(column, law.model.axes)
 
     def check(self, path: str, setting: Setting) -> None:
         """See base class."""
-        self.check_sides(path, setting.num_outputs, "m")
+        self.check_sides(path, setting.output_units)

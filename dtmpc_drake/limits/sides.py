@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -45,10 +46,10 @@ class Sides:
         both = self.both() * [-1.0, 1.0]
         return both[np.isfinite(both)]
 
-    def side(self, row: int, what: str) -> str:
-        """What a row is about, ``min of axis 2``."""
+    def side(self, row: int, names: Sequence[str]) -> str:
+        """What a row is about, ``min of axis z``."""
         i, column = np.argwhere(np.isfinite(self.both()))[row]
-        return f"{'min' if column == 0 else 'max'} of {what} {i}"
+        return f"{'min' if column == 0 else 'max'} of {names[i]}"
 
     def sides_in(self, unit: float) -> tuple[Any, Any]:
         """Both sides in another unit."""
@@ -59,27 +60,26 @@ class Sides:
         )
         return low, high
 
-    def check_sides(self, path: str, count: int, unit: str) -> None:
+    def check_sides(self, path: str, units: Sequence[str]) -> None:
         """Refuses bounds that make no sense.
 
         Args:
             path: of this section, for errors.
-            count: of the numbers that are bounded.
-            unit: of them.
+            units: of what is bounded.
         """
         for name in ("min", "max"):
             side = getattr(self, name)
             if side is None:
                 continue
             field = f"{path}.{name}"
-            allowed = f"{count} numbers, one each, null where there is no bound"
-            require(field, side, len(side) == count, allowed)
+            allowed = f"{len(units)} numbers, one each, null where there is no bound"
+            require(field, side, len(side) == len(units), allowed)
             for i, bound in enumerate(side):
                 if bound is not None:
-                    require_magnitude(f"{field}[{i}]", bound, unit)
+                    require_magnitude(f"{field}[{i}]", bound, units[i])
         both = self.both()
         given = bool(np.isfinite(both).any())
         require(path, None, given, "left out, or given a min or a max that is no null")
         for i, (low, high) in enumerate(both):
-            allowed = f"greater than {path}.min[{i}] = {low:g} {unit}"
+            allowed = f"greater than {path}.min[{i}] = {low:g} {units[i]}"
             require(f"{path}.max[{i}]", high, low < high, allowed)

@@ -28,11 +28,11 @@ class SpeedLimit(LinearLimit):
 
     def unit(self, law: SlidingLaw) -> str:
         """See base class."""
-        return "m/s"
+        return law.model.derivative_unit(1)
 
-    def where(self, column: int) -> str:
+    def where(self, law: SlidingLaw, column: int) -> str:
         """See base class."""
-        return f"axis {column // 2}"
+        return law.model.axes[column // 2]
 
     def normals(self, num_outputs: int) -> Array:
         """Both directions of every axis, one after the other."""

@@ -68,4 +68,6 @@ class Units:
 
 
 def _unless_near(unit: float) -> float:
-    return 1.0 if 1 / NEAR <= unit <= NEAR else unit
+    """A unit, or the user's: where that is near, or where numbers are broken."""
+    usable = 0 < unit < np.inf  # not so for NaN; who planned with it is told later
+    return 1.0 if not usable or 1 / NEAR <= unit <= NEAR else unit

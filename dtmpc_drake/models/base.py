@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pydrake.math import inv as drake_inv
 
-from dtmpc_drake.checks import Part
+from dtmpc_drake.checks import Part, derivative_unit
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.registry import Registry
 
@@ -28,7 +28,12 @@ class Model(Part, abc.ABC):
     parameter_names: tuple[str, ...] = ()
     """Names of the parameters of the true plant."""
     length_unit: str = "m"
-    """Of every output; times are in seconds."""
+    """Of positions and of obstacles; times are in seconds."""
+
+    @property
+    def output_units(self) -> tuple[str, ...]:
+        """Of every output; the unit of lengths unless overridden."""
+        return (self.length_unit,) * self.num_outputs
 
     @property
     def output_names(self) -> tuple[str, ...]:
@@ -37,15 +42,29 @@ class Model(Part, abc.ABC):
         return tuple("xyz"[:m]) if m <= 3 else tuple(str(i) for i in range(m))
 
     @property
+    def axes(self) -> list[str]:
+        """The outputs in a message: ``axis x`` and so on."""
+        return [f"axis {name}" for name in self.output_names]
+
+    @property
     def input_names(self) -> tuple[str, ...]:
         """Of the inputs, for a reader; u and the number of each."""
         return tuple(f"u{i}" for i in range(self.num_outputs))
 
+    @property
+    def input_units(self) -> tuple[str, ...]:
+        """Of the inputs; those of the n-th derivatives unless overridden."""
+        return tuple(derivative_unit(unit, self.order) for unit in self.output_units)
+
     def derivative_unit(self, order: int) -> str:
-        """The unit of a derivative of an output, such as ``m/s²``."""
-        power = "".join("⁰¹²³⁴⁵⁶⁷⁸⁹"[int(digit)] for digit in str(order))
-        seconds = {0: "", 1: "/s"}.get(order, f"/s{power}")
-        return f"{self.length_unit}{seconds}"
+        """The unit of a derivative of the outputs, such as ``m/s²``; all if many."""
+        units = (derivative_unit(unit, order) for unit in self.output_units)
+        return " or ".join(dict.fromkeys(units))
+
+    @property
+    def input_unit(self) -> str:
+        """The unit of the inputs; all if many."""
+        return " or ".join(dict.fromkeys(self.input_units))
 
     @abc.abstractmethod
     def drift(self, x: Array) -> Array:

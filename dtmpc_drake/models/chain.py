@@ -22,18 +22,35 @@ class IntegratorChain(Model):
         num_outputs: m.
         order: n.
         error_bound: Δ, one number for all outputs, in output unit / s^n.
+        length_unit: of the outputs.
+        outputs: their names, if they are not x, y and z.
+        inputs: their names, if they are not u0, u1, ...
     """
 
     num_outputs: int = 3
     order: int = 2
     error_bound: float = 0.0
+    length_unit: str = "m"
+    outputs: list[str] = dataclasses.field(default_factory=list)
+    inputs: list[str] = dataclasses.field(default_factory=list)
 
     # The true model error of every output, in output unit / s^n.
     parameter_names = ("model_error",)
 
     def check(self, path: str, setting: Setting) -> None:
         """See base class."""
-        require_not_negative(f"{path}.error_bound", self.error_bound, "m/s²")
+        unit = self.derivative_unit(self.order)
+        require_not_negative(f"{path}.error_bound", self.error_bound, unit)
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """See base class."""
+        return tuple(self.outputs) or super().output_names
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """See base class."""
+        return tuple(self.inputs) or super().input_names
 
     def drift(self, x: Array) -> Array:
         """F̂ = 0."""

@@ -1,15 +1,13 @@
 """Another model with its error bound replaced by a constant."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from dtmpc_drake.models.base import Model
+from dtmpc_drake.models.wrapped import WrappedModel
 from dtmpc_drake.numerics.arrays import Array
 
 
-class ConstantUncertainty(Model):
+class ConstantUncertainty(WrappedModel):
     """Another model with its error bound replaced by a constant.
 
     This is the simplification that the paper's third experiment argues
@@ -23,24 +21,9 @@ class ConstantUncertainty(Model):
     """
 
     def __init__(self, model: Model, bound: Array, *, covers: bool = True) -> None:
-        self.model = model
+        super().__init__(model)
         self.covers = covers
         self.bound = np.asarray(bound, dtype=float)
-        self.num_outputs = model.num_outputs
-        self.order = model.order
-        self.parameter_names = model.parameter_names
-
-    def drift(self, x: Array) -> Array:
-        """See base class."""
-        return self.model.drift(x)
-
-    def drift_bound_over(self, x: Array, radius: Array) -> Array:
-        """See base class."""
-        return self.model.drift_bound_over(x, radius)
-
-    def true_drift(self, x: Array, parameters: Mapping[str, Any]) -> Array:
-        """See base class."""
-        return self.model.true_drift(x, parameters)
 
     def model_error_bound(self, x: Array) -> Array:
         """The constant, broadcast over the batch."""
@@ -55,27 +38,6 @@ class ConstantUncertainty(Model):
         return self.model_error_bound(x)
 
     @property
-    def input_is_identity(self) -> bool:
-        """See base class."""
-        return self.model.input_is_identity
-
-    def inverse_input_matrix(self, x: Array) -> Array:
-        """See base class."""
-        return self.model.inverse_input_matrix(x)
-
-    def inverse_input_deviation(self, x: Array, radius: Array) -> Array:
-        """See base class."""
-        return self.model.inverse_input_deviation(x, radius)
-
-    def input_matrix(self, x: Array) -> Array:
-        """See base class."""
-        return self.model.input_matrix(x)
-
-    def parameter_interval(self, name: str) -> tuple[float, float]:
-        """See base class."""
-        return self.model.parameter_interval(name)
-
-    @property
     def error_bound_varies(self) -> bool:
         """See base class."""
         return False
@@ -83,8 +45,3 @@ class ConstantUncertainty(Model):
     def constant_model_error_bound(self, speed: float) -> Array:
         """The constant itself."""
         return self.bound
-
-    @property
-    def bounds_certified(self) -> bool:
-        """See base class."""
-        return self.model.bounds_certified

@@ -22,10 +22,12 @@ class DragDoubleIntegrator(Model):
     Attributes:
         drag_estimate: Ĉ_d, in 1/m.
         drag_error_bound: the bound of ``|C_d - Ĉ_d|``, in 1/m.
+        length_unit: in place of the metre.
     """
 
     drag_estimate: float = 0.1
     drag_error_bound: float = 0.0
+    length_unit: str = "m"
 
     # Unannotated, so that they are no fields of the dataclass.
     num_outputs = 3
@@ -35,7 +37,8 @@ class DragDoubleIntegrator(Model):
     def check(self, path: str, setting: Setting) -> None:
         """See base class."""
         for name in ("drag_estimate", "drag_error_bound"):
-            require_not_negative(f"{path}.{name}", getattr(self, name), "1/m")
+            unit = f"1/{self.length_unit}"
+            require_not_negative(f"{path}.{name}", getattr(self, name), unit)
 
     def drift(self, x: Array) -> Array:
         """F̂ = -Ĉ_d ‖ṙ‖ ṙ."""

@@ -5,13 +5,15 @@ from typing import Any
 
 from dtmpc_drake.models.base import Model
 from dtmpc_drake.models.constant import ConstantUncertainty
+from dtmpc_drake.models.wrapped import WrappedModel
 from dtmpc_drake.numerics.arrays import Array
 
 
-class InUnits(Model):
+class InUnits(WrappedModel):
     """Another model in units in which its own are so large.
 
-    Inputs count in the unit of the n-th derivative, so that B is what it was.
+    Inputs count in the unit of the n-th derivative, so that B is what it was.  Names,
+    and their units, stay those that the user knows.
 
     Args:
         model: in the user's units.
@@ -20,71 +22,56 @@ class InUnits(Model):
     """
 
     def __init__(self, model: Model, rows: Array) -> None:
-        self.model = model
-        self.num_outputs, self.order = model.num_outputs, model.order
-        self.parameter_names = model.parameter_names
+        super().__init__(model)
         self._state, self._highest = rows[:-1], float(rows[-1, 0])
+        self._speed = float(rows[1, 0])
 
     def _shown(self, x: Array) -> Array:
         return x * self._state
 
     def drift(self, x: Array) -> Array:
         """See base class."""
-        return self.model.drift(self._shown(x)) / self._highest
+        return super().drift(self._shown(x)) / self._highest
 
     def model_error_bound(self, x: Array) -> Array:
         """See base class."""
-        return self.model.model_error_bound(self._shown(x)) / self._highest
+        return super().model_error_bound(self._shown(x)) / self._highest
 
     def drift_bound_over(self, x: Array, radius: Array) -> Array:
         """See base class."""
         box = self._shown(x), self._shown(radius)
-        return self.model.drift_bound_over(*box) / self._highest
+        return super().drift_bound_over(*box) / self._highest
 
     def model_error_bound_over(self, x: Array, radius: Array) -> Array:
         """See base class."""
         box = self._shown(x), self._shown(radius)
-        return self.model.model_error_bound_over(*box) / self._highest
+        return super().model_error_bound_over(*box) / self._highest
 
     def model_error_bound_under(self, x: Array, radius: Array) -> Array:
         """See base class."""
         box = self._shown(x), self._shown(radius)
-        return self.model.model_error_bound_under(*box) / self._highest
+        return super().model_error_bound_under(*box) / self._highest
 
     def true_drift(self, x: Array, parameters: Mapping[str, Any]) -> Array:
         """See base class."""
-        return self.model.true_drift(self._shown(x), parameters) / self._highest
-
-    def parameter_interval(self, name: str) -> tuple[float, float]:
-        """See base class."""
-        return self.model.parameter_interval(name)
-
-    @property
-    def bounds_certified(self) -> bool:
-        """See base class."""
-        return self.model.bounds_certified
-
-    @property
-    def error_bound_varies(self) -> bool:
-        """See base class."""
-        return self.model.error_bound_varies
-
-    @property
-    def input_is_identity(self) -> bool:
-        """See base class."""
-        return self.model.input_is_identity
+        return super().true_drift(self._shown(x), parameters) / self._highest
 
     def inverse_input_matrix(self, x: Array) -> Array:
         """See base class."""
-        return self.model.inverse_input_matrix(self._shown(x))
+        return super().inverse_input_matrix(self._shown(x))
 
     def inverse_input_deviation(self, x: Array, radius: Array) -> Array:
         """See base class."""
-        return self.model.inverse_input_deviation(self._shown(x), self._shown(radius))
+        return super().inverse_input_deviation(self._shown(x), self._shown(radius))
 
     def input_matrix(self, x: Array) -> Array:
         """See base class."""
-        return self.model.input_matrix(self._shown(x))
+        return super().input_matrix(self._shown(x))
+
+    def constant_model_error_bound(self, speed: float) -> Array:
+        """See base class."""
+        shown = super().constant_model_error_bound(speed * self._speed)
+        return shown / self._highest
 
 
 def in_units(model: Model, rows: Array) -> Model:

@@ -64,8 +64,8 @@ class Ball(Obstacle, abc.ABC):
         """See base class."""
         self._check_center(f"{path}.center", setting.num_outputs)
         for i, value in enumerate(self.center):
-            require_magnitude(f"{path}.center[{i}]", value, "m")
-        require_positive(f"{path}.radius", self.radius, "m")
+            require_magnitude(f"{path}.center[{i}]", value, setting.length_unit)
+        require_positive(f"{path}.radius", self.radius, setting.length_unit)
         super().check(path, setting)
 
     def _check_center(self, field: str, num_outputs: int) -> None:

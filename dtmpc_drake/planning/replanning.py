@@ -220,7 +220,7 @@ def _outside(plan: Plan, problem: Problem, *, measured_at: float, state: Array) 
     axis = int(np.argmax(np.where(np.isfinite(share), share, np.inf)))
     if share[axis] <= 1 + LAYER_TOLERANCE:
         return ""
-    where = f"|s|/Φ = {share[axis]:.3g} on axis {axis}"
+    where = f"|s|/Φ = {share[axis]:.3g} on {problem.model.axes[axis]}"
     return f"measured outside of the boundary layer ({where})"
 
 
@@ -261,7 +261,8 @@ def _decide(
             best, distance = tries.last, clear.value
     if enough and arrives and tries.certified(problem, left, None):
         return tries.decision("certified")
-    message = f"nothing is certified; obstacles {distance:+.4f} m"
+    unit = problem.model.length_unit
+    message = f"nothing is certified; obstacles {distance:+.4f} {unit}"
     if best is None:
         return Decision("unsafe", message, None, None, tries.iterations)
     return Decision("unsafe", message, best.attempt, best.cost, tries.iterations)

@@ -362,16 +362,17 @@ class Transcription:
             time = knots[planes.piece[row]] + self.step * point / self.control_degree
             obstacle = p.obstacles.index[planes.obstacle[row]]
             worst = planes.margin.min() * p.units.length
-            note(float(worst), "m", f"obstacle {obstacle}", float(time))
+            unit = law.model.length_unit
+            note(float(worst), unit, f"obstacle {obstacle}", float(time))
         for convex, margin in zip(p.convex, iterate.convex, strict=True):
             piece, _, column = np.unravel_index(margin.argmin(), margin.shape)
-            where = convex.where(int(column))
+            where = convex.where(law, int(column))
             title = f"{convex.title} on {where}" if where else convex.title
             worst = margin.min() * convex.worth(p.units, self.order)
             note(float(worst), convex.unit(law), title, float(knots[piece]))
         for sampled, margin in zip(p.sampled, iterate.sampled, strict=True):
             node, column = np.unravel_index(margin.argmin(), margin.shape)
-            where = sampled.where(int(column))
+            where = sampled.where(law, int(column))
             title = f"{sampled.title} on {where}" if where else sampled.title
             time = knots[0] + self.step * node / self.tube_steps
             worst = margin.min() * sampled.worth(p.units, self.order)

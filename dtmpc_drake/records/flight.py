@@ -96,7 +96,7 @@ class Flight:
         return verdict.breaches(
             self.record,
             limits=scenario.limits,
-            order=scenario.model.order,
+            model=scenario.model,
             replans=self.replans,
         )
 
@@ -157,5 +157,5 @@ class Flight:
             f"Flight({len(self.time)} samples over {self.time[-1]:g} s, "
             f"worst |s|/Φ {seen['worst_layer_ratio']:.3f}, "
             f"|ỹ|/Ω {seen['worst_position_ratio']:.3f}, "
-            f"clearance {seen['smallest_clearance']:.3f} m, plan {self.status})"
+            f"clearance {seen['smallest_clearance']:.3f}, plan {self.status})"
         )

@@ -177,7 +177,7 @@ class Flights:
             f"{self.outside} with violations, "
             f"{self.collisions} collisions, worst |s|/Φ {layer:.3f}, |ỹ|/Ω "
             f"{position:.3f}, |dỹ/dt|/W {velocity:.3f}, clearance "
-            f"{self.smallest_clearance.min():.3f} m)"
+            f"{self.smallest_clearance.min():.3f})"
         )
 
 

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from dtmpc_drake.models import Model
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.records.replan import Replan
 from dtmpc_drake.scenario import Limits
@@ -172,7 +173,7 @@ def breaches(
     record: Array,
     *,
     limits: Limits,
-    order: int,
+    model: Model,
     replans: Sequence[Replan] = (),
 ) -> tuple[Breach, ...]:
     """Everything that one flight broke, what broke first before all else.
@@ -180,7 +181,7 @@ def breaches(
     Args:
         record: of the flight, ``(6, 8)``.
         limits: that it had to keep.
-        order: n, for the unit of the input.
+        model: of the vehicle, for names and units.
         replans: the decisions on the way; one that left nothing safe to fly is
             a breach, too.
     """
@@ -188,7 +189,7 @@ def breaches(
         return (Breach("not_finite", 0.0, "", np.inf, "nobody looked at the flight"),)
     largest = largest_kept(limits)
     found = [
-        _breach(record[:, k], float(largest[k]), QUANTITIES[k], order, limits)
+        _breach(record[:, k], float(largest[k]), QUANTITIES[k], model, limits)
         for k in np.flatnonzero(broken(record))
     ]
     found += [
@@ -207,7 +208,7 @@ def breaches(
 
 
 def _breach(
-    column: Array, largest: float, what: str, order: int, limits: Limits
+    column: Array, largest: float, what: str, model: Model, limits: Limits
 ) -> Breach:
     """One quantity in words; `column` is what the record has of it, ``(6,)``."""
     since, first, worst = (float(column[c]) for c in (SINCE, FIRST, WORST))
@@ -223,12 +224,19 @@ def _breach(
         # Axes with lower limits are watched as if theirs were the largest.
         slower = largest - limits.speed_along(int(column[FIRST_WHERE]))
         largest, first, worst = (x - slower for x in (largest, first, worst))
-    highest = " m/s" if order == 1 else f" m/s^{order}"
-    unit = {"obstacles": " m", "speed": " m/s", "input": highest}.get(what, "")
-    where = f"{place} {int(column[FIRST_WHERE])}" if place else ""
+    units = {
+        "obstacles": model.length_unit,
+        "speed": model.derivative_unit(1),
+        "input": model.input_unit,
+    }
+    unit = f" {units[what]}" if what in units else ""
+    where = ""
+    if place:
+        index = int(column[FIRST_WHERE])
+        where = model.axes[index] if place == "axis" else f"{place} {index}"
     limit, sign = f"at most {largest:g}{unit}", 1.0
     if what == "obstacles":
-        limit, sign = "more than 0 m", -1.0
+        limit, sign = f"more than 0{unit}", -1.0
     message = (
         f"{words} at t = {since:.3f} s{f' ({where})' if where else ''}:"
         f" {symbol} {sign * first:.5g}{unit}, but it must be {limit}"

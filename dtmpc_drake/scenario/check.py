@@ -15,6 +15,7 @@ import numpy as np
 from dtmpc_drake.checks import (
     Part,
     Setting,
+    derivative_unit,
     require_length,
     require_magnitude,
     require_positive,
@@ -63,8 +64,9 @@ def validate(scenario: Scenario) -> None:
 
 def validate_values(scenario: Scenario) -> None:
     """The same for a scenario whose fields are of the right types already."""
-    _check_magnitudes(scenario)
     _check_sizes(scenario)
+    _check_names(scenario)
+    _check_magnitudes(scenario)
     _check_ranges(scenario)
     _check_costs(scenario)
     _check_soft_goal(scenario)
@@ -79,10 +81,11 @@ def validate_values(scenario: Scenario) -> None:
 
 
 def _check_magnitudes(scenario: Scenario) -> None:
+    units = scenario.model.output_units
     for field, row in _waypoint_rows(scenario).items():
-        unit = DERIVATIVES[field.split(".")[1]]
+        k = DERIVATIVES.index(field.split(".")[1])
         for i, value in enumerate(row):
-            require_magnitude(f"{field}[{i}]", value, unit)
+            require_magnitude(f"{field}[{i}]", value, derivative_unit(units[i], k))
     highest, planner = scenario.controller.bandwidth.max, scenario.planner
     require_magnitude("controller.bandwidth.max", highest, "rad/s")
     require_magnitude("planner.compute_delay", planner.compute_delay, "s")
@@ -100,7 +103,7 @@ def _check_sizes(scenario: Scenario) -> None:
     require("model.order", n, 1 <= n <= 10, "in [1, 10]")
     rows = _waypoint_rows(scenario)
     for field, row in rows.items():
-        k = list(DERIVATIVES).index(field.split(".")[1])
+        k = DERIVATIVES.index(field.split(".")[1])
         require(field, row, k < n, f"left out: the model is of order {n}")
     require_length("controller.slope", scenario.controller.slope, m)
     if isinstance(scenario.limits.speed, list):
@@ -109,17 +112,37 @@ def _check_sizes(scenario: Scenario) -> None:
         require_length(field, row, m)
 
 
+def _check_names(scenario: Scenario) -> None:
+    """What a model calls its outputs, its inputs and its units."""
+    model, m = scenario.model, scenario.model.num_outputs
+    for unit in (model.length_unit, *model.output_units):
+        ok = isinstance(unit, str) and 0 < len(unit) <= 20 and unit.isalpha()
+        require("model.length_unit", unit, ok, "a word, such as m, mm or rad")
+    for field in ("output_names", "input_names", "output_units", "input_units"):
+        names = getattr(model, field)
+        texts = [name for name in names if isinstance(name, str)]
+        ok = len(texts) == len(names) == m
+        ok = ok and all(0 < len(t) <= 20 and t.isprintable() for t in texts)
+        allowed = f"{m} printable texts of at most 20 characters"
+        if field in ("output_names", "input_names"):
+            ok, allowed = ok and len(set(texts)) == m, f"{allowed}, no two the same"
+        require(f"model.{field}", list(names), ok, allowed)
+
+
 def _check_ranges(scenario: Scenario) -> None:
     c, b = scenario.controller, scenario.controller.bandwidth
     planner, sensing = scenario.planner, scenario.sensing
-    simulation = scenario.simulation
+    simulation, model = scenario.simulation, scenario.model
+    layer_unit = model.derivative_unit(model.order - 1)
     positive = {
         "duration": (scenario.duration, "s"),
-        "limits.input": (scenario.limits.input, "m/s²"),
-        "controller.reaching_rate": (c.reaching_rate, "m/s²"),
-        "controller.initial_boundary_layer": (c.initial_boundary_layer, "m/s"),
+        "limits.input": (scenario.limits.input, model.input_unit),
+        "controller.reaching_rate": (
+            c.reaching_rate,
+            model.derivative_unit(model.order),
+        ),
+        "controller.initial_boundary_layer": (c.initial_boundary_layer, layer_unit),
         "controller.bandwidth.min": (b.min, "rad/s"),
-        "controller.bandwidth.rate_max": (b.rate_max, "rad/s²"),
         "simulation.max_step_size": (simulation.max_step_size, "s"),
         "simulation.log_period": (simulation.log_period, "s"),
         "planner.time_budget": (planner.time_budget, "s"),
@@ -127,15 +150,19 @@ def _check_ranges(scenario: Scenario) -> None:
         "sensing.period": (sensing.period, "s"),
     }
     if sensing.range is not None:
-        positive["sensing.range"] = (sensing.range, "m")
+        positive["sensing.range"] = (sensing.range, model.length_unit)
     speed = scenario.limits.speed
     for i, bound in enumerate(speed if isinstance(speed, list) else [speed]):
         field = f"limits.speed[{i}]" if isinstance(speed, list) else "limits.speed"
-        positive[field] = (bound, "m/s")
+        along = i if isinstance(speed, list) else 0
+        positive[field] = (bound, derivative_unit(model.output_units[along], 1))
     for i, slope in enumerate(c.slope):
         positive[f"controller.slope[{i}]"] = (slope, "1/s")
     for field, (value, unit) in positive.items():
         require_positive(field, value, unit)
+    # As good as no limit: α stays in its own range.
+    ok, field = 1e-9 <= b.rate_max <= 1e300, "controller.bandwidth.rate_max"
+    require(field, b.rate_max, ok, "greater than 0 rad/s², in [1e-09, 1e+300]")
     delay, again = planner.compute_delay, planner.replan_period
     require("planner.compute_delay", delay, delay >= 0, "at least 0 s")
     if again is not None:
@@ -193,12 +220,12 @@ def _check_costs(scenario: Scenario) -> None:
         row, field = getattr(cost.state.line, name), f"cost.state.line.{name}"
         require_length(field, row, m)
         for i, value in enumerate(row):
-            require_magnitude(f"{field}[{i}]", value, "m")
+            require_magnitude(f"{field}[{i}]", value, scenario.model.output_units[i])
     require(field, row, bool(np.linalg.norm(row) >= 1e-9), "longer than 0")
 
 
 def _check_soft_goal(scenario: Scenario) -> None:
-    names = tuple(DERIVATIVES)[: scenario.model.order]
+    names = DERIVATIVES[: scenario.model.order]
     for end in ENDS:
         waypoint = getattr(scenario, end)
         soft = waypoint.soft if waypoint is not None else False
@@ -211,12 +238,16 @@ def _check_soft_goal(scenario: Scenario) -> None:
 
 def _check_parts(scenario: Scenario) -> None:
     """What answers for itself."""
+    model = scenario.model
     setting = Setting(
-        num_outputs=scenario.model.num_outputs,
-        order=scenario.model.order,
+        num_outputs=model.num_outputs,
+        order=model.order,
         duration=scenario.duration,
+        length_unit=model.length_unit,
+        output_units=model.output_units,
+        input_units=model.input_units,
     )
-    scenario.model.check("model", setting)
+    model.check("model", setting)
     scenario.disturbance.check("disturbance", setting)
     for i, obstacle in enumerate(scenario.obstacles):
         obstacle.check(f"obstacles[{i}]", setting)
@@ -267,6 +298,7 @@ def _check_plant(scenario: Scenario) -> None:
 
 def _check_motion(scenario: Scenario) -> None:
     """Speeds, time and initial error."""
+    model = scenario.model
     start, goal = scenario.start_state(), scenario.goal_state()
     duration = scenario.duration
     speed = np.array([scenario.limits.speed_along(i) for i in range(start.shape[1])])
@@ -280,7 +312,8 @@ def _check_motion(scenario: Scenario) -> None:
                 f"{end}.velocity",
                 state[1],
                 bool((np.abs(state[1]) <= speed).all()),
-                f"at most limits.speed = {given} m/s along every axis",
+                f"at most limits.speed = {given} {model.derivative_unit(1)} along every"
+                " axis",
             )
     shortest = float((np.abs(goal[0] - start[0]) / speed).max())
     require(
@@ -296,13 +329,14 @@ def _check_motion(scenario: Scenario) -> None:
         np.abs(s),
         bool((np.abs(s) <= layer).all()),
         f"so small that |s(t0)| is at most the initial boundary layer, {layer:g}"
-        " m/s (the values are |s(t0)|)",
+        f" {model.derivative_unit(model.order - 1)} (the values are |s(t0)|)",
     )
 
 
 def _check_clearance(scenario: Scenario) -> None:
     """Both ends, with the smallest tubes that they may have."""
     obstacles, margin = scenario.obstacle_set(), scenario.planner.tube_margin
+    unit = scenario.model.length_unit
     error = np.abs(scenario.initial_error_state()[0])
     ends = {
         "start.position": (scenario.start_state()[0], error),
@@ -317,7 +351,8 @@ def _check_clearance(scenario: Scenario) -> None:
                 field,
                 position,
                 f"outside obstacles[{i}], tube included: it is"
-                f" {-clearance[i]:.3g} m too close (tube {show(tube.round(3))} m)",
+                f" {-clearance[i]:.3g} {unit} too close"
+                f" (tube {show(tube.round(3))} {unit})",
             )
 
 
@@ -335,7 +370,8 @@ def _check_limits_at_ends(scenario: Scenario) -> None:
     """Limits of the states at both ends, with the smallest tubes that they may have."""
     if not scenario.limits.others:
         return
-    error, names = np.abs(scenario.initial_error_state()), [*DERIVATIVES]
+    error, names = np.abs(scenario.initial_error_state()), DERIVATIVES
+    law = scenario.sliding_law()
     final = np.zeros_like(error)
     final[0] = smallest_final_tube(scenario)
     ends = {
@@ -346,13 +382,14 @@ def _check_limits_at_ends(scenario: Scenario) -> None:
     for path, limit in limits:
         if not isinstance(limit, ConvexLimit) or limit.derivative >= len(error):
             continue
-        k, unit = limit.derivative, limit.unit(scenario.sliding_law())
+        k, unit = limit.derivative, limit.unit(law)
         for end, (state, tube) in ends.items():
             if end == "goal" and k in scenario.soft_derivatives():
                 continue
             left = limit.left(state[k], tube[k])
             worst = int(left.argmin())
-            where = f" ({limit.where(worst)})" if limit.where(worst) else ""
+            where = limit.where(law, worst)
+            where = f" ({where})" if where else ""
             require(
                 f"{end}.{names[k]}" if k < len(names) else end,
                 state[k],
@@ -371,7 +408,8 @@ def _check_sensing(scenario: Scenario) -> None:
     if math.isinf(needed):
         reason = "but the feedback leaves no input to brake with"
     ok = sensed >= needed
-    require("sensing.range", sensed, ok, f"at least {needed:.4g} m, {reason}")
+    unit = scenario.model.length_unit
+    require("sensing.range", sensed, ok, f"at least {needed:.4g} {unit}, {reason}")
 
 
 def smallest_final_tube(scenario: Scenario) -> Array:

@@ -18,8 +18,8 @@ from dtmpc_drake.models import ConstantUncertainty, DragDoubleIntegrator, Model
 from dtmpc_drake.numerics.arrays import Array, BoolArray
 from dtmpc_drake.obstacles import Obstacle, ObstacleSet
 
-DERIVATIVES = {"position": "m", "velocity": "m/s", "acceleration": "m/s²"}
-"""Fields of a `Waypoint` and of `StateWeights`, in order, and their units."""
+DERIVATIVES = "position", "velocity", "acceleration"
+"""Fields of a `Waypoint` and of `StateWeights`, in order."""
 
 
 def _three(value: float) -> Any:

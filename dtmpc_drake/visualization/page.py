@@ -64,8 +64,13 @@ def legend_html(
     """
     time, position = flight.time, flight.position
     shown = plans_in_force(flight.replans)
-    unit = scenario.model.derivative_unit
-    coloring = Coloring.along(plan, time, color_by, [s.plan for s in shown], unit(1))
+    coloring = Coloring.along(
+        plan,
+        time,
+        color_by,
+        [s.plan for s in shown],
+        scenario.model.derivative_unit(1),
+    )
     share = np.linspace(0.0, 1.0, 9)
     colors = coloring.rgb(coloring.low + share * (coloring.high - coloring.low))
     ticks = coloring.low + np.array([0.0, 0.5, 1.0]) * (coloring.high - coloring.low)
@@ -108,7 +113,7 @@ def legend_html(
         "obstacle_color": GREY,
         "goal_color": GREEN,
         "goal": "soft goal (pole)" if scenario.goal_is_soft else "goal",
-        "grid": f"{grid_spacing(high - low, scale):g} {html.escape(unit(0))}",
+        "grid": f"{grid_spacing(high - low, scale):g} {html.escape(scenario.model.length_unit)}",
         "obstacles_shown": "" if scenario.obstacles else "hidden",
         "ghosts_shown": "" if flight.found else "hidden",
         "ghost_color": GHOST,

@@ -37,7 +37,7 @@ class Box(Obstacle):
         require_length(f"{path}.center", self.center, setting.num_outputs)
         require_length(f"{path}.half", self.half, setting.num_outputs)
         for i, value in enumerate(self.half):
-            require_positive(f"{path}.half[{i}]", value, "m")
+            require_positive(f"{path}.half[{i}]", value, setting.length_unit)
         super().check(path, setting)
 
     @property

@@ -104,11 +104,13 @@ def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Ma
     margins |= problem.bandwidth.certify(enclosure)
     thinnest = enclosure.layer.derivatives[:, 0] - enclosure.layer.radius(0)
     thinnest = thinnest * units.of(n - 1)
-    margins["boundary_layer"] = smallest(time, thinnest, "m/s", "axis")
+    model = problem.model
+    unit = model.derivative_unit(n - 1)
+    margins["boundary_layer"] = smallest(time, thinnest, unit, model.axes)
     tolerance = np.full((n, 1), TUBE_TOLERANCE)
     tolerance[-1] = TOP_TOLERANCE if n > 1 else TUBE_TOLERANCE
     left = enclosure.claim_excess + tolerance
-    bounds = [f"bound {k} on axis {i}" for k in range(n) for i in range(left.shape[2])]
+    bounds = [f"bound {k} on {axis}" for k in range(n) for axis in model.axes]
     margins["tube"] = smallest(time, left.reshape(len(time), -1), "", bounds)
     margins |= consistency_margins(plan, problem)
     for limit in problem.other_limits:
@@ -137,5 +139,5 @@ def clearance_ahead(plan: Plan, problem: Problem, start: float) -> Margin:
         plan, longest=INTERVALS[0], slack=TUBE_TOLERANCE, units=problem.units
     )
     return ObstacleLimit(problem.obstacles, problem.tube_margin).clearance(
-        corridor, start / problem.units.time
+        problem.law, corridor, start / problem.units.time
     )

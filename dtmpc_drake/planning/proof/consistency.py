@@ -55,11 +55,11 @@ def consistency_margins(plan: Plan, problem: Problem) -> dict[str, Margin]:
         plan: without `plan_faults`.
         problem: that it should solve.
     """
-    n, m, unit = plan.order, plan.num_outputs, problem.units.time
+    n, axes, unit = plan.order, problem.model.axes, problem.units.time
     margins: dict[str, Margin] = {}
     jumps = [
-        *_jumps(plan.coefficients, plan.knots, n, "y*"),
-        *_jumps(plan.layer_coefficients, plan.tube_times, 2, "Φ*"),
+        *_jumps(plan.coefficients, plan.knots, n, "y*", axes),
+        *_jumps(plan.layer_coefficients, plan.tube_times, 2, "Φ*", axes),
     ]
     if jumps:
         worst = min(jumps, key=lambda margin: margin.value)
@@ -70,7 +70,7 @@ def consistency_margins(plan: Plan, problem: Problem) -> dict[str, Margin]:
     left = (allowed - np.abs(time - wanted))[:, None] * unit
     margins["time"] = smallest(time * unit, left, "s", ["of the plan"])
 
-    rows = [f"y*^({k}) on axis {i}" for k in range(n) for i in range(m)]
+    rows = [f"y*^({k}) on {axis}" for k in range(n) for axis in axes]
     ends = plan.reference(time)[:, :n]
     missing = np.abs(ends - np.stack([problem.start, problem.goal]))
     missing[1, [k for k in range(n) if k not in problem.goal_rows]] = 0.0
@@ -90,13 +90,15 @@ def consistency_margins(plan: Plan, problem: Problem) -> dict[str, Margin]:
         if wish is not None:
             allowed = HAND_OVER_TOLERANCE * (1e-3 + np.abs(wish))
             left.append(allowed - np.abs(value - wish))
-            names += [f"{name} on axis {i}" for i in range(m)]
+            names += [f"{name} on {axis}" for axis in axes]
     hand_over = np.concatenate(left)[None]
     margins["hand_over"] = smallest(time[:1] * unit, hand_over, "", names)
     return margins
 
 
-def _jumps(powers: Array, grid: Array, count: int, name: str) -> list[Margin]:
+def _jumps(
+    powers: Array, grid: Array, count: int, name: str, axes: list[str]
+) -> list[Margin]:
     """What is left of the tolerance at the inner points of a grid.
 
     Args:
@@ -104,6 +106,7 @@ def _jumps(powers: Array, grid: Array, count: int, name: str) -> list[Margin]:
         grid: ``(pieces + 1,)``, in s.
         count: derivatives that must be continuous, the function itself included.
         name: of the function.
+        axes: what the outputs are called.
     """
     margins = []
     length = np.diff(grid)[:-1, None, None]
@@ -113,7 +116,8 @@ def _jumps(powers: Array, grid: Array, count: int, name: str) -> list[Margin]:
         start = powers[1:, 0]
         size = max(1.0, float(np.abs(start).max()) / 100)
         left = JUMP_TOLERANCE * size - np.abs(end - start)
-        label = f"{name}^({k}) on axis" if k else f"{name} on axis"
-        margins.append(smallest(grid[1:-1], left, "", label))
+        what = f"{name}^({k})" if k else name
+        labels = [f"{what} on {axis}" for axis in axes]
+        margins.append(smallest(grid[1:-1], left, "", labels))
         powers = powers[:, 1:] * np.arange(1, powers.shape[1])[:, None]
     return margins

@@ -109,7 +109,7 @@ def plot_histories(
     labels = _labels(model)
     for name in rows:
         panels[name, 0].set_ylabel(labels[name])
-    bottom.set_ylabel(f"input norm ‖u‖\n({model.derivative_unit(n)})")
+    bottom.set_ylabel(f"input norm ‖u‖\n({model.input_unit})")
     for (limit, title), axes in zip(others, bottoms[1:], strict=True):
         _draw_what_is_left(scenario, planned, limit, axes, flight)
         axes.set_title(title, fontsize=9, loc="left")
@@ -146,7 +146,7 @@ def _labels(model: Model) -> dict[str, str]:
         "sliding": f"sliding\nvariable s ({unit(n - 1)})",
         "bandwidth": "bandwidth α\n(rad/s)",
         "speed": f"speed |ẏ|\n({unit(1)})",
-        "inputs": f"each input u\n({unit(n)})",
+        "inputs": f"each input u\n({model.input_unit})",
     }
 
 

@@ -117,7 +117,7 @@ def _plot_from_above(
         view.draw(panel, (corner, corner + span), line_width=3.8)
         panel.set_title(
             f"{title}: tube {abs(clearance):.{digits}f}"
-            f" {scenario.model.derivative_unit(0)} "
+            f" {scenario.model.length_unit} "
             + ("from an obstacle" if clearance >= 0 else "inside an obstacle"),
             fontsize=9,
         )
@@ -242,7 +242,7 @@ def _plot_over_time(
             draw_fence(axes, 1, fence, fence + out * 2 * (top - bottom))
     axes.set_ylim(bottom, top)
     axes.set_xlabel("time (s)")
-    axes.set_ylabel(f"position {model.output_names[0]} ({model.derivative_unit(0)})")
+    axes.set_ylabel(f"position {model.output_names[0]} ({model.output_units[0]})")
     add_color_bar(figure, [axes], coloring)
     fenced = bool(np.isfinite(fences).any())
     add_legend(figure, scenario, coloring, clouds, fenced=fenced)

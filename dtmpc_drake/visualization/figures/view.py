@@ -246,8 +246,9 @@ class View:
 
 
 def _labels(model: Model, order: tuple[int, int]) -> tuple[str, str]:
-    unit, names = model.derivative_unit(0), model.output_names
-    return f"{names[order[0]]} ({unit})", f"{names[order[1]]} ({unit})"
+    units, names = model.output_units, model.output_names
+    right, up = (f"{names[i]} ({units[i]})" for i in order)
+    return right, up
 
 
 def joint_window(views: Iterable[View]) -> Window:
