@@ -93,6 +93,7 @@ def legend_html(
         "quantity": color_by,
         "news": [[_short(s.start - time[0]), s.replan.headline()] for s in shown],
     }
+    length = html.escape(scenario.model.length_unit)
     fenced = np.isfinite(shown_fences(scenario, plan)).any()
     template = resources.files("dtmpc_drake.visualization") / "overlay.html"
     fields = {
@@ -113,7 +114,7 @@ def legend_html(
         "obstacle_color": GREY,
         "goal_color": GREEN,
         "goal": "soft goal (pole)" if scenario.goal_is_soft else "goal",
-        "grid": f"{grid_spacing(high - low, scale):g} {html.escape(scenario.model.length_unit)}",
+        "grid": f"{grid_spacing(high - low, scale):g} {length}",
         "obstacles_shown": "" if scenario.obstacles else "hidden",
         "ghosts_shown": "" if flight.found else "hidden",
         "ghost_color": GHOST,
