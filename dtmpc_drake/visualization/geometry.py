@@ -20,6 +20,7 @@ TUBE_PERIOD = 0.05
 """Between two rings of a drawn tube, in s."""
 NEAR = 0.12
 """What is beside a flight by less than this part of its length is in the picture."""
+_NEAR_BOUND = 0.15  # the same of bounds of the position
 
 
 def embedding(num_outputs: int) -> FloatArray:
@@ -60,7 +61,7 @@ def near_bounds(bounds: FloatArray, low: FloatArray, high: FloatArray) -> FloatA
         The same, ``(m, 2)``; infinite where they are further away.
     """
     away = np.stack([low, -high], axis=1) - bounds * [1.0, -1.0]
-    near = away < NEAR * float((high - low).max())
+    near = away < _NEAR_BOUND * float((high - low).max())
     return np.where(near, bounds, [-np.inf, np.inf])
 
 

@@ -2,7 +2,7 @@
 
 Sizes in pictures are given for fields of some ten units of length, tubes of some tenths
 of one and flights of some ten seconds.  Where a problem is of another size, or in other
-units, they are multiplied by a power of ten.
+units, they are multiplied by one, two or five times a power of ten.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ class Scale:
     def of(cls, plan: Plan) -> Scale:
         """The scale of a plan's picture."""
         low, high = tube_box(plan)
-        field = _power_of_ten(float((high - low).max()), _FIELD, _FIELDS)
+        field = _nice(float((high - low).max()), _FIELD, _FIELDS)
         half = float(np.median(plan.position_tube(plan.sample_times())))
         thin = half / (_TUBE * field)
         tube = field * float(10.0 ** np.ceil(np.log10(thin))) if 0 < thin < 1 else field
         duration = plan.end_time - plan.start_time
-        return cls(field, tube, _power_of_ten(duration, _TIME, _TIMES))
+        return cls(field, tube, _nice(duration, _TIME, _TIMES))
 
     @property
     def tube_is_thin(self) -> bool:
@@ -61,7 +61,10 @@ def decimals(size: float) -> int:
     return int(np.clip(2 - np.trunc(np.log10(max(size, 1e-9))), 0, 9))
 
 
-def _power_of_ten(size: float, usual: float, near: tuple[float, float]) -> float:
+def _nice(size: float, usual: float, near: tuple[float, float]) -> float:
+    """A round number by which a size is not far from the usual one."""
     if size <= 0.0 or near[0] <= size <= near[1]:
         return 1.0
-    return float(10.0 ** np.round(np.log10(size / usual)))
+    rough = size / usual
+    power = float(10.0 ** np.floor(np.log10(rough)))
+    return power * min((1.0, 2.0, 5.0, 10.0), key=lambda n: abs(np.log(rough / power / n)))
