@@ -67,4 +67,6 @@ def _nice(size: float, usual: float, near: tuple[float, float]) -> float:
         return 1.0
     rough = size / usual
     power = float(10.0 ** np.floor(np.log10(rough)))
-    return power * min((1.0, 2.0, 5.0, 10.0), key=lambda n: abs(np.log(rough / power / n)))
+    return power * min(
+        (1.0, 2.0, 5.0, 10.0), key=lambda n: abs(np.log(rough / power / n))
+    )

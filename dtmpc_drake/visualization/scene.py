@@ -159,20 +159,23 @@ def add_fences(
 ) -> None:
     """Floor, ceiling and walls as thin sheets with a frame, across the field.
 
+    One looks through the ceiling, so it is the faintest.
+
     Args:
         meshcat: to draw into.
         fences: as from `shown_fences`, ``(3, 2)``.
         low: one corner of the field, ``(3,)``, as from `field_corners`.
         high: the opposite corner.
     """
-    inside = np.maximum(low, fences[:, 0]), np.minimum(high, fences[:, 1])
+    inside = np.where(np.isfinite(fences.T), fences.T, [low, high])
     for axis, side in np.argwhere(np.isfinite(fences)):
-        corners = np.array(inside)
+        corners = inside.copy()
         corners[:, axis] = fences[axis, side]
         size = corners[1] - corners[0]
         size[axis] = 1e-4 * float(size.max())
         path = f"{ROOT}/fences/{'xyz'[axis]}{'min' if side == 0 else 'max'}"
-        meshcat.SetObject(f"{path}/sheet", Box(*size), rgba(FENCE, 0.14))
+        opacity = 0.05 if (axis, side) == (2, 1) else 0.14
+        meshcat.SetObject(f"{path}/sheet", Box(*size), rgba(FENCE, opacity))
         meshcat.SetTransform(f"{path}/sheet", RigidTransform(corners.mean(axis=0)))
         meshcat.SetProperty(f"{path}/sheet/<object>", "material.depthWrite", False)
         a, b = (i for i in range(3) if i != axis)

@@ -104,15 +104,16 @@ def _plot_from_above(
     extra = 0.9 + 0.5 * (len(looks) - 1) + 0.85 * len(below)
     figure = Figure(figsize=(WIDTH, sum(rises) + sum(below) + extra), dpi=150)
     figure.set_layout_engine("constrained")
-    rows = len(rises) + len(below)
-    grid = figure.add_gridspec(rows, 4, height_ratios=rises + below)
-    panels = [figure.add_subplot(grid[row, :]) for row in range(len(looks))]
-    for panel, (look, seen) in zip(panels, looks, strict=True):
-        look.draw(panel, seen)
+    heights = [rises[0], *below, *rises[1:]]
+    grid = figure.add_gridspec(len(heights), 4, height_ratios=heights)
+    panels = []
+    for row, (look, seen) in zip((0, -1), looks, strict=False):
+        panels.append(figure.add_subplot(grid[row, :]))
+        look.draw(panels[-1], seen)
     digits = decimals(width) + 2
     for i, (title, k, clearance) in enumerate(spots):
         column = 2 * i if len(spots) > 1 else 1
-        panel = figure.add_subplot(grid[-1, column : column + 2])
+        panel = figure.add_subplot(grid[1, column : column + 2])
         corner = view.center[k] - span / 2
         view.draw(panel, (corner, corner + span), line_width=3.8)
         panel.set_title(

@@ -58,6 +58,8 @@ _GOAL: dict[str, Any] = {
 
 _OUT_OF_BOUNDS: dict[str, Any] = {"fc": "white", "ec": GREY, "hatch": "////", "lw": 0}
 
+_MANY_DIGITS = 1e5
+
 Window = tuple[FloatArray, FloatArray]
 """Two corners of what is seen, ``(2,)`` each, in m."""
 
@@ -160,14 +162,17 @@ class View:
         low, high = low.min(axis=0), high.max(axis=0)
         reach = NEAR * float((high - low).max())
         fences = near_bounds(self.bounds[list(self.order)], low, high).T
-        fences = np.where(np.isfinite(fences), fences, [low, high])
-        lows, highs = [low, fences[0]], [high, fences[1]]
+        near = np.isfinite(fences)
+        first, last = np.where(near, fences, [low, high])
+        lows, highs = [low, first], [high, last]
+        # There is no need to see far beyond them.
+        least, largest = np.where(near, fences, [low - reach, high + reach])
         for _, silhouette in self.obstacles:
             outline = silhouette.outline()
             a, b = outline.min(axis=0), outline.max(axis=0)
             if (a < high + reach).all() and (b > low - reach).all():
-                lows.append(np.maximum(a, low - reach))
-                highs.append(np.minimum(b, high + reach))
+                lows.append(np.maximum(a, least))
+                highs.append(np.minimum(b, largest))
         if self.goal is not None:
             goal = self.seen(self.goal)
             if (goal < high + reach).all() and (goal > low - reach).all():
@@ -241,6 +246,8 @@ class View:
         axes.set_aspect("equal")
         if self.order == (1, 0):
             axes.invert_yaxis()  # with y to the right, x points down
+        if np.abs(window).max() >= _MANY_DIGITS:  # else labels would meet
+            axes.locator_params(axis="x", nbins=5)
         axes.set_xlabel(self.labels[0])
         axes.set_ylabel(self.labels[1])
 
