@@ -103,7 +103,7 @@ def _plot_from_above(
     below = [0.38 * WIDTH * _INSET_RATIO] if spots else []
     extra = 0.9 + 0.5 * (len(looks) - 1) + 0.85 * len(below)
     figure = Figure(figsize=(WIDTH, sum(rises) + sum(below) + extra), dpi=150)
-    figure.set_layout_engine("constrained")
+    figure.set_layout_engine("constrained" if len(looks) == 1 else "compressed")
     heights = [rises[0], *below, *rises[1:]]
     grid = figure.add_gridspec(len(heights), 4, height_ratios=heights)
     panels = []
