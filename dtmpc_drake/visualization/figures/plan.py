@@ -38,6 +38,7 @@ from dtmpc_drake.visualization.style import (
 )
 
 _INSET_RATIO = 0.42  # height by width
+_TALLEST = 6.0  # look, in inches
 
 
 def plot_plan(
@@ -96,13 +97,12 @@ def _plot_from_above(
         looks.append((side, _over(window, side.window())))
 
     # Rows as tall as what they show at equal scales, labels apart.
-    rises = [
-        float(np.clip(0.835 * WIDTH * (high[1] - low[1]) / width, 1.0, 6.0))
-        for _, (low, high) in looks
-    ]
-    below = [0.38 * WIDTH * _INSET_RATIO] if spots else []
+    ratios = [float(high[1] - low[1]) / width for _, (low, high) in looks]
+    across_the_page = min(WIDTH, _TALLEST / (0.835 * max(ratios)))
+    rises = [max(0.835 * across_the_page * ratio, 1.0) for ratio in ratios]
+    below = [0.38 * across_the_page * _INSET_RATIO] if spots else []
     extra = 0.9 + 0.5 * (len(looks) - 1) + 0.85 * len(below)
-    figure = Figure(figsize=(WIDTH, sum(rises) + sum(below) + extra), dpi=150)
+    figure = Figure(figsize=(across_the_page, sum(rises) + sum(below) + extra), dpi=150)
     figure.set_layout_engine("constrained" if len(looks) == 1 else "compressed")
     heights = [rises[0], *below, *rises[1:]]
     grid = figure.add_gridspec(len(heights), 4, height_ratios=heights)
@@ -122,6 +122,8 @@ def _plot_from_above(
             + ("from an obstacle" if clearance >= 0 else "inside an obstacle"),
             fontsize=9,
         )
+        if i > 0:  # the one beside it has the same
+            panel.set_ylabel("")
         _connect(figure, panels[0], panel)
         panels.append(panel)
     add_color_bar(figure, panels, view.coloring)
