@@ -234,10 +234,18 @@ def test_a_receding_horizon_decides_the_same_in_other_units():
 # A problem's own units.
 
 
-@given(speed=st.floats(1e-6, 1e6), slope=st.floats(1e-4, 1e4), order=st.integers(1, 5))
-def test_own_units_make_problems_alike(speed, slope, order):
-    units = Units.own(speed=speed, slope=np.array([slope]), order=order)
-    assert 2.0 / 1.5 < slope * units.time < 2.0 * 1.5
+RATES = st.floats(1e-4, 1e4)
+
+
+@given(
+    speed=st.floats(1e-6, 1e6), slope=RATES, bandwidth=RATES, order=st.integers(1, 5)
+)
+def test_own_units_make_problems_alike(speed, slope, bandwidth, order):
+    units = Units.own(
+        speed=speed, slope=np.array([slope]), bandwidth=bandwidth, order=order
+    )
+    fastest = max(slope, bandwidth / 2) if order > 1 else bandwidth / 2
+    assert 2.0 / 1.5 < fastest * units.time < 2.0 * 1.5
     assert 2.5 / 1.5 < speed * units.time / units.length < 2.5 * 1.5
     back = units.inverse()
     assert back.length * units.length == pytest.approx(1.0)

@@ -2,7 +2,8 @@
 
 What a search calls near, small or long is a matter of units: ten of a vehicle that is
 given in millimetres are no distance.  So problems are planned and proven in units of
-their own, in which the largest speed is about 2.5 and the slope of the sliding surface
+their own, in which the largest speed is about 2.5 and the faster of the rates by which
+a tube forgets, the slope of the sliding surface and half of the largest bandwidth, is
 about 2, whatever units a user has.
 """
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from dtmpc_drake.numerics.arrays import Array
 
-SPEED, SLOPE = 2.5, 2.0
+SPEED, RATE = 2.5, 2.0
 """In a problem's own units."""
 NEAR = np.sqrt(2.0)
 """A user's unit of length or time that is within this factor is taken."""
@@ -35,17 +36,23 @@ class Units:
     cost: float = 1.0
 
     @classmethod
-    def own(cls, *, speed: float, slope: Array, order: int) -> Units:
+    def own(
+        cls, *, speed: float, slope: Array, bandwidth: Array | float, order: int
+    ) -> Units:
         """Those of a problem.
 
         The cost goes with them, so that a weight of the input stays what it is.
 
         Args:
             speed: the largest that is allowed along an axis.
-            slope: λ, ``(m,)``.
-            order: n.
+            slope: λ, ``(m,)``, in 1/s.
+            bandwidth: the largest α, one for all outputs or ``(m,)``, in rad/s.
+            order: n; without a sliding surface (n = 1) the slope says nothing.
         """
-        time = _unless_near(SLOPE / float(np.mean(slope)))
+        rate = float(np.mean(bandwidth)) / 2
+        if order > 1:
+            rate = max(rate, float(np.mean(slope)))
+        time = _unless_near(RATE / rate)
         length = _unless_near(speed * time / SPEED)
         return cls(length, time, (length / time**order) ** 2 * time)
 

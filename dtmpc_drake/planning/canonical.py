@@ -25,7 +25,12 @@ def canonical(problem: Problem) -> Problem:
     law, n = problem.law, problem.law.order
     if not problem.units.are_the_users:
         return problem
-    units = Units.own(speed=problem.speed.size, slope=law.slope, order=n)
+    units = Units.own(
+        speed=problem.speed.size,
+        slope=law.slope,
+        bandwidth=problem.bandwidth.high,
+        order=n,
+    )
     if units.are_the_users:
         return problem
     rows, highest = units.of_rows(n), units.of(n)

@@ -466,7 +466,10 @@ class Scenario:
     def own_units(self) -> Units:
         """Those in which all problems look alike, in the user's."""
         return Units.own(
-            speed=self.limits.fastest, slope=self.slope(), order=self.model.order
+            speed=self.limits.fastest,
+            slope=self.slope(),
+            bandwidth=self.controller.bandwidth.interval()[1],
+            order=self.model.order,
         )
 
     def slope(self) -> Array:
