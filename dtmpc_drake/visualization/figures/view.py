@@ -227,10 +227,11 @@ class View:
         # Stroke all boxes, then fill them: what stays black is the outline.
         boxes = swept_boxes(self.center - self.half, self.center + self.half)
         tube = Path.make_compound_path_from_polys(boxes)
-        axes.add_patch(
+        # (As artists, since patches would be measured, curve by curve.)
+        axes.add_artist(
             PathPatch(tube, fc="none", ec=BLACK, lw=2.0, joinstyle="round", zorder=2)
         )
-        axes.add_patch(PathPatch(tube, fc=PALE_BLUE, ec="none", zorder=2.1))
+        axes.add_artist(PathPatch(tube, fc=PALE_BLUE, ec="none", zorder=2.1))
         for cloud in self.clouds:
             cloud.draw(axes, self.seen(cloud.paths), line_width)
         many = any(len(cloud.paths) > 1 for cloud in self.clouds)
