@@ -39,6 +39,7 @@ class Setting:
         length_unit: of positions and obstacles.
         output_units: of every output.
         input_units: of every input.
+        num_positions: of the outputs that say where it is; all if left out.
     """
 
     num_outputs: int
@@ -47,6 +48,14 @@ class Setting:
     length_unit: str
     output_units: tuple[str, ...]
     input_units: tuple[str, ...]
+    num_positions: int | None = None
+
+    @property
+    def place(self) -> Setting:
+        """The same for what lives in the space of these outputs alone."""
+        if self.num_positions is None:
+            return self
+        return dataclasses.replace(self, num_outputs=self.num_positions)
 
 
 class Part:

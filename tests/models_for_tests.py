@@ -15,12 +15,14 @@ import numpy as np
 
 from dtmpc_drake.costs import BandwidthCost, InputCost
 from dtmpc_drake.limits import BandwidthLimit, InputLimit, SpeedLimit
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.tube import TubeStart
 from dtmpc_drake.models import (
     ConstantUncertainty,
     DragDoubleIntegrator,
     IntegratorChain,
+    LaggedMultirotor,
     Model,
     register_model,
 )
@@ -178,6 +180,59 @@ def one_model_of_each_order() -> list[Model]:
     ]
 
 
+@register_model
+@dataclasses.dataclass
+class SkewedChains(FractionOfBound):
+    """Orders 1, 3 and 2, each output of which sees the others.
+
+    ``F̂ = -pull tanh(y₀ + ẏ₁ + ẏ₂)`` on every output, the inputs act askew, and
+    ``Δ = roughness (1 + |y₀| + |ẏ₂|)``, ``roughness (1 + |ÿ₁|)`` and
+    ``roughness (1 + |ẏ₁|)``.
+    """
+
+    pull: float = 0.1
+    roughness: float = 0.05
+
+    num_outputs = 3
+    orders = 1, 3, 2
+    order = 3
+
+    def drift(self, x: Array) -> Array:
+        """See base class."""
+        seen = x[..., 0, 0] + x[..., 1, 1] + x[..., 1, 2]
+        return np.asarray(-self.pull * np.tanh(seen)[..., None] * np.ones(3))
+
+    def drift_bound_over(self, x: Array, radius: Array) -> Array:
+        """See base class; the slope of tanh is at most one."""
+        r = np.asarray(radius)
+        wide = (r[..., 0, 0] + r[..., 1, 1] + r[..., 1, 2])[..., None]
+        return np.asarray(magnitude(self.drift(x)) + self.pull * wide)
+
+    def model_error_bound(self, x: Array) -> Array:
+        """See base class."""
+        size = magnitude(x)
+        rows = size[..., 0, 0] + size[..., 1, 2], size[..., 2, 1], size[..., 1, 1]
+        return np.asarray(self.roughness * (1.0 + np.stack(rows, axis=-1)))
+
+    def model_error_bound_over(self, x: Array, radius: Array) -> Array:
+        """See base class; exact up to the rounding of the magnitude."""
+        return self.model_error_bound(magnitude(x) + radius)
+
+    def inverse_input_matrix(self, x: Array) -> Array:
+        """See base class; a constant."""
+        inverse = np.array([[1.0, 0.0, 0.2], [0.1, 0.8, 0.0], [0.0, -0.2, 1.2]])
+        return np.broadcast_to(inverse, (*x.shape[:-2], 3, 3))
+
+
+def models_of_mixed_orders() -> list[Model]:
+    """Outputs of different order, with errors that depend on the state or do not."""
+    return [
+        IntegratorChain(orders=[3, 1, 2], error_bound=0.2),
+        SkewedChains(),
+        LaggedMultirotor(drag_error_bound=0.05, yaw_bias_bound=0.05),
+    ]
+
+
 def every_model() -> list[Model]:
     """All models, the library's and the tests'."""
     drag = DragDoubleIntegrator(drag_estimate=0.1, drag_error_bound=0.2)
@@ -186,6 +241,7 @@ def every_model() -> list[Model]:
         DragDoubleIntegrator(drag_estimate=0.1, drag_error_bound=0.0),
         IntegratorChain(num_outputs=1, order=3, error_bound=0.4),
         ConstantUncertainty(drag, drag.constant_model_error_bound(2.5)),
+        *models_of_mixed_orders(),
     ]
 
 
@@ -251,7 +307,8 @@ def changed_problem(problem: Problem, **changes: Any) -> Problem:
     start = problem.tube_start
     layer = changes.pop("layer", start.layer)
     if "initial_error" in changes:
-        start = TubeStart.of_error(changes.pop("initial_error"), layer, law.slope)
+        error = changes.pop("initial_error")
+        start = TubeStart.of_error(error, layer, law.slope, law.chains)
     stages = np.concatenate([start.stages[:-1], np.asarray(layer)[None]])
     parts["tube_start"] = TubeStart(stages, start.highest)
     return dataclasses.replace(problem, **(parts | changes))
@@ -262,7 +319,9 @@ Adversary = Callable[[float, Array, Array], tuple[Array, Array]]
 """(time, error (T, n, m), s (T, m)) to the fractions of Δ and of D, (T, m)."""
 
 
-def every_adversary(seed: int, trials: int = 4) -> tuple[Adversary, int]:
+def every_adversary(
+    seed: int, trials: int = 4, chains: Chains | None = None
+) -> tuple[Adversary, int]:
     """All adversaries side by side, one a row; and how many rows they take.
 
     They push along s or against it, along ỹ, along the highest error
@@ -273,7 +332,7 @@ def every_adversary(seed: int, trials: int = 4) -> tuple[Adversary, int]:
 
     def adversary(t: float, error: Array, s: Array) -> tuple[Array, Array]:
         one = np.ones(s.shape[-1])
-        w = error[:, -1]
+        w = error[:, -1] if chains is None else chains.top(error)
         rows = [
             np.sign(s[0]) + (s[0] == 0),
             -np.sign(s[1]),
@@ -332,7 +391,9 @@ def fly(
         drift = model.drift(x) + f * model.model_error_bound(x)
         highest = drift + effect + d * law.disturbance_bound
         top = (highest - y[n])[:, None]
-        return np.concatenate([error[:, 1:], top], axis=1)
+        rates = np.concatenate([error[:, 1:], top], axis=1)
+        law.chains.set_row(rates, top[:, 0])
+        return law.chains.existing(rates)
 
     errors = np.empty((len(times), *initial_error.shape))
     errors[0] = initial_error
@@ -349,6 +410,7 @@ def fly(
 
 def wave(model: Model, amplitude: float, frequency: float) -> Signal:
     """A smooth reference that keeps moving, every output at its own phase."""
+    chains = Chains.of(model)
     phases = np.arange(model.num_outputs) * 0.7
 
     def reference(t: float | Array) -> Array:
@@ -357,6 +419,6 @@ def wave(model: Model, amplitude: float, frequency: float) -> Signal:
             amplitude * frequency**k * np.sin(angle + k * np.pi / 2)
             for k in range(model.order + 1)
         ]
-        return np.stack(rows, axis=-2)
+        return chains.reference_of(np.stack(rows, axis=-2))
 
     return reference

@@ -33,6 +33,7 @@ from dtmpc_drake.disturbances import (
 )
 from dtmpc_drake.errors import ScenarioError
 from dtmpc_drake.method import sliding
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.planning import hold_plan
@@ -459,7 +460,7 @@ def test_small_parts_have_their_ports() -> None:
     relay = Relay(force=np.array([1.0, 2.0]))
     context = fixed(relay, u=[-1e-9, 0.0])
     np.testing.assert_array_equal(relay.GetOutputPort("y").Eval(context), [-1.0, 2.0])
-    surface = SlidingError(slope=np.array([3.0]), order=3)
+    surface = SlidingError(slope=np.array([3.0]), chains=Chains((3,)))
     context = fixed(surface, state=[1.0, 1.0, 1.0], reference=np.zeros(4))
     assert surface.GetOutputPort("s").Eval(context) == pytest.approx(9 + 6 + 1)
 

@@ -242,7 +242,7 @@ RATES = st.floats(1e-4, 1e4)
 )
 def test_own_units_make_problems_alike(speed, slope, bandwidth, order):
     units = Units.own(
-        speed=speed, slope=np.array([slope]), bandwidth=bandwidth, order=order
+        speed=speed, slope=np.array([slope]), bandwidth=bandwidth, orders=[order]
     )
     fastest = max(slope, bandwidth / 2) if order > 1 else bandwidth / 2
     assert 2.0 / 1.5 < fastest * units.time < 2.0 * 1.5

@@ -8,7 +8,7 @@ from dtmpc_drake.costs.bandwidth import BandwidthCost
 from dtmpc_drake.costs.base import COSTS, Cost, register_cost
 from dtmpc_drake.costs.input import InputCost
 from dtmpc_drake.costs.state import StateCost
-from dtmpc_drake.costs.weights import Weight, require_weight
+from dtmpc_drake.costs.weights import Weight, matrix_of, require_weight
 
 __all__ = [
     "COSTS",
@@ -17,6 +17,7 @@ __all__ = [
     "InputCost",
     "StateCost",
     "Weight",
+    "matrix_of",
     "register_cost",
     "require_weight",
 ]

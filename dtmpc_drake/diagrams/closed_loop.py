@@ -17,6 +17,7 @@ from dtmpc_drake.diagrams.live_view import LiveView
 from dtmpc_drake.diagrams.trials import Trial
 from dtmpc_drake.disturbances import MakeDisturbance
 from dtmpc_drake.errors import require
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import Scenario, require_one_plan
 from dtmpc_drake.systems import (
@@ -49,7 +50,7 @@ def MakeClosedLoop(
         plan: to fly instead of planning at the start.
         plant: to fly instead of a `Plant` of the scenario's model and parameters.  It
             has the input ports `control` and `disturbance`, ``(m,)``, and the output
-            port `state`, the flattened ``(n, m)``, which depends on its own state
+            port `state`, flattened as that of a `Plant`, which depends on its own state
             alone.  Its default Context is where it starts.
         disturbance: that pushes it, instead of the scenario's: a system with the output
             port `disturbance`, ``(m,)``.  It may have the input ports `state` and
@@ -101,8 +102,8 @@ def MakeController(
         meshcat: to watch the simulation in, if given.
 
     Returns:
-        A diagram named ``controller`` with the input port `state`, the flattened
-        ``(n, m)``, and the output ports of `MakeClosedLoop` but those of plant and
+        A diagram named ``controller`` with the input port `state`, flattened as that
+        of a `Plant`, and the output ports of `MakeClosedLoop` but those of plant and
         disturbance: `control`, ``(m,)``, is what the plant is to be given.
 
     Raises:
@@ -110,7 +111,7 @@ def MakeController(
     """
     _require_plan(scenario, plan)
     builder = DiagramBuilder()
-    size = scenario.model.order * scenario.model.num_outputs
+    size = Chains.of(scenario.model).size
     entry = builder.AddNamedSystem("state", PassThrough(size))
     builder.ExportInput(entry.get_input_port(), "state")
     state = entry.get_output_port()
@@ -168,17 +169,17 @@ def MakeSideBySide(
 
 def _require_plan(scenario: Scenario, plan: Plan | None) -> None:
     """Refuses to fly what is no plan of the scenario's model."""
-    n, m = scenario.model.order, scenario.model.num_outputs
-    fits = plan is None or (
-        isinstance(plan, Plan) and (plan.order, plan.num_outputs) == (n, m)
-    )
-    require("plan", plan, fits, f"a Plan of order {n} with {m} outputs")
+    chains = Chains.of(scenario.model)
+    fits = plan is None or (isinstance(plan, Plan) and plan.chains == chains)
+    allowed = f"a Plan of {chains.words} with {chains.num_outputs} outputs"
+    require("plan", plan, fits, allowed)
 
 
 def _require_fit(scenario: Scenario, plant: System, disturbance: System) -> None:
     """Refuses systems that are not for the scenario's model, or not for each other."""
-    n, m = scenario.model.order, scenario.model.num_outputs
-    looks = {"state": n * m, "reference": (n + 1) * m}
+    chains = Chains.of(scenario.model)
+    n, m = chains.order, chains.num_outputs
+    looks = {"state": chains.size, "reference": (n + 1) * m}
     push, chosen = {"disturbance": m}, {"model_error": m}
     RequirePorts(
         "disturbance", disturbance, inputs={}, outputs=push, optional=looks | chosen
@@ -186,7 +187,7 @@ def _require_fit(scenario: Scenario, plant: System, disturbance: System) -> None
     inputs, optional = {"control": m} | push, chosen
     if disturbance.HasOutputPort("model_error"):
         inputs, optional = inputs | chosen, {}
-    state = {"state": n * m}
+    state = {"state": chains.size}
     RequirePorts("plant", plant, inputs=inputs, outputs=state, optional=optional)
     output = plant.GetOutputPort("state").get_index()
     for name in inputs:

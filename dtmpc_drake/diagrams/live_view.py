@@ -13,6 +13,7 @@ from pydrake.systems.framework import (
     OutputPort,
 )
 
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.systems.plan_port import DeclarePlanInputPort, EvalPlan
 from dtmpc_drake.systems.wiring import AddConnected
@@ -48,9 +49,9 @@ class LiveView(LeafSystem):
         """
         LeafSystem.__init__(self)
         self._scenario, self._meshcat = scenario, meshcat
-        n, m = scenario.model.order, scenario.model.num_outputs
-        self._embedding = embedding(m)
-        self._state = self.DeclareVectorInputPort("state", n * m)
+        chains = Chains.of(scenario.model)
+        self._embedding = embedding(chains.num_outputs)
+        self._state = self.DeclareVectorInputPort("state", chains.size)
         self._plan = DeclarePlanInputPort(self)
         self.DeclareInitializationPublishEvent(self._draw)
         self.DeclarePeriodicPublishEvent(publish_period, 0.0, self._move)

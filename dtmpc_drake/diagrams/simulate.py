@@ -13,6 +13,7 @@ from dtmpc_drake.diagrams.closed_loop import MakeClosedLoop, MakeSideBySide
 from dtmpc_drake.diagrams.recorder import Recorder
 from dtmpc_drake.diagrams.trials import Trial
 from dtmpc_drake.disturbances import SeedTrials
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.sampling import samples, step_times
 from dtmpc_drake.records import verdict
@@ -108,7 +109,7 @@ def FlyTrials(scenario: Scenario, *, plan: Plan, trials: Sequence[Trial]) -> Fli
     m = scenario.model.num_outputs
     for step in _steps(scenario, loop, context, look=look):
         if step in rows:
-            recorder.sample(state.Eval(context).reshape(count, -1, m)[:, 0])
+            recorder.sample(state.Eval(context).reshape(count, -1)[:, :m])
     return recorder.flights(_record(loop, context, (count,)))
 
 
@@ -196,7 +197,9 @@ def _logged(
             for name, port in ports.items():
                 flat[name][row_of[step]] = port.Eval(context)
 
-    n, m = scenario.model.order, scenario.model.num_outputs
+    chains = Chains.of(scenario.model)
+    n, m = chains.order, chains.num_outputs
+    flat["state"] = chains.unpack(flat["state"].reshape(len(rows), *lead, chains.size))
     shapes = {
         "state": (*lead, n, m),
         "reference": (n + 1, m),

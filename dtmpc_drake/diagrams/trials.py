@@ -7,6 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.method.sliding import sliding_variable
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.scenario import Scenario, Waypoint
@@ -101,6 +102,7 @@ def _draw_initial_error(scenario: Scenario, generator: np.random.Generator) -> A
     """
     error = scenario.initial_error_state()
     error = generator.uniform(-1, 1, error.shape) * error
-    s = np.abs(sliding_variable(error, scenario.slope()))
+    chains = Chains.of(scenario.model)
+    s = np.abs(sliding_variable(error, scenario.slope(), chains))
     layer = scenario.initial_boundary_layer() * (1 - 1e-9)
     return error * layer / np.maximum(s, layer)

@@ -6,6 +6,7 @@ from typing import Any
 
 from pydrake.systems.framework import LeafSystem
 
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.models import Model
 
 
@@ -22,8 +23,8 @@ class ModelError(LeafSystem):
         - model_error
 
     ``model_error = push Δ(x)``, ``(m,)``: whatever is within -1 and 1 in `push`,
-    ``(m,)``, is within the bound at the `state`, the flattened ``(n, m)`` array.
-    With `trials`, every port has one more axis in front.
+    ``(m,)``, is within the bound at the `state`, flattened as the
+    plant gives it.  With `trials`, every port has one more axis in front.
     """
 
     def __init__(self, *, model: Model, trials: int | None = None) -> None:
@@ -34,9 +35,10 @@ class ModelError(LeafSystem):
             trials: how many plants; one, without the axis, if left out.
         """
         LeafSystem.__init__(self)
-        self._model = model
-        size = model.num_outputs * (1 if trials is None else trials)
-        self._state = self.DeclareVectorInputPort("state", size * model.order)
+        self._model, self._chains = model, Chains.of(model)
+        count = 1 if trials is None else trials
+        size = model.num_outputs * count
+        self._state = self.DeclareVectorInputPort("state", count * self._chains.size)
         self._push = self.DeclareVectorInputPort("push", size)
         self.DeclareVectorOutputPort(
             "model_error",
@@ -46,6 +48,6 @@ class ModelError(LeafSystem):
         )
 
     def _calc_model_error(self, context: Any, output: Any) -> None:
-        shape = (-1, self._model.order, self._model.num_outputs)
-        bound = self._model.model_error_bound(self._state.Eval(context).reshape(shape))
+        state = self._state.Eval(context).reshape(-1, self._chains.size)
+        bound = self._model.model_error_bound(self._chains.unpack(state))
         output.SetFromVector(self._push.Eval(context) * bound.ravel())

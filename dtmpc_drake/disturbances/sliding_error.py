@@ -6,6 +6,7 @@ from typing import Any
 
 from pydrake.systems.framework import LeafSystem
 
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.method.sliding import sliding_variable
 from dtmpc_drake.numerics.arrays import Array
 
@@ -27,19 +28,22 @@ class SlidingError(LeafSystem):
     ``(m,)``.  With `trials`, `state` and `s` have one more axis in front.
     """
 
-    def __init__(self, *, slope: Array, order: int, trials: int | None = None) -> None:
+    def __init__(
+        self, *, slope: Array, chains: Chains, trials: int | None = None
+    ) -> None:
         """Constructs the system.
 
         Args:
             slope: λ, ``(m,)``.
-            order: n.
+            chains: the orders of the outputs.
             trials: how many plants; one, without the axis, if left out.
         """
         LeafSystem.__init__(self)
         m, count = len(slope), 1 if trials is None else trials
-        self._slope, self._order = slope, order
-        self._state = self.DeclareVectorInputPort("state", count * order * m)
-        self._reference = self.DeclareVectorInputPort("reference", (order + 1) * m)
+        self._slope, self._chains = slope, chains
+        self._state = self.DeclareVectorInputPort("state", count * chains.size)
+        size = (chains.order + 1) * m
+        self._reference = self.DeclareVectorInputPort("reference", size)
         self.DeclareVectorOutputPort(
             "s",
             count * m,
@@ -48,8 +52,8 @@ class SlidingError(LeafSystem):
         )
 
     def _calc_s(self, context: Any, output: Any) -> None:
-        shape = (-1, self._order, len(self._slope))
-        state = self._state.Eval(context).reshape(shape)
+        chains = self._chains
+        state = self._state.Eval(context).reshape(-1, chains.size)
         reference = self._reference.Eval(context).reshape(-1, len(self._slope))
-        error = state - reference[: self._order]
-        output.SetFromVector(sliding_variable(error, self._slope).ravel())
+        error = chains.unpack(state) - reference[: chains.order]
+        output.SetFromVector(sliding_variable(error, self._slope, chains).ravel())

@@ -19,6 +19,7 @@ from dtmpc_drake.disturbances.base import (
 from dtmpc_drake.disturbances.relay import Relay
 from dtmpc_drake.disturbances.reversals import Reversals
 from dtmpc_drake.disturbances.sliding_error import SlidingError
+from dtmpc_drake.method.chains import Chains
 
 _NUDGE = 1e-6
 """Far above what rounding makes of s, far below what a push does."""
@@ -94,7 +95,9 @@ def _along_the_error(parts: Parts) -> OutputPort:
     The seed decides to which side, not rounding.
     """
     error = parts.builder.AddSystem(
-        SlidingError(slope=parts.slope, order=parts.model.order, trials=parts.count)
+        SlidingError(
+            slope=parts.slope, chains=Chains.of(parts.model), trials=parts.count
+        )
     )
     for name in ("state", "reference"):
         parts.look_at(name, error)

@@ -12,6 +12,7 @@ from dtmpc_drake.limits.base import (
     Limit,
     LinearLimit,
     SampledLimit,
+    flown,
     register_limit,
 )
 from dtmpc_drake.limits.cover import CoverLimit
@@ -36,5 +37,6 @@ __all__ = [
     "PositionLimit",
     "SampledLimit",
     "SpeedLimit",
+    "flown",
     "register_limit",
 ]

@@ -17,12 +17,13 @@ from typing import ClassVar
 import numpy as np
 
 from dtmpc_drake.checks import Part
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.method.enclosure import Enclosure
 from dtmpc_drake.method.margin import Margin, smallest
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.tightening import Instant, deviation_bound
 from dtmpc_drake.method.units import Units
-from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.numerics.arrays import Array, BoolArray
 from dtmpc_drake.numerics.differences import differences
 from dtmpc_drake.registry import Registry
 
@@ -221,7 +222,11 @@ class ConvexLimit(Limit):
     @property
     @abc.abstractmethod
     def derivative(self) -> int:
-        """k, at most n."""
+        """k, at most n_i of every output that the limit looks at."""
+
+    def reads(self, num_outputs: int) -> BoolArray:
+        """Which outputs it looks at, ``(m,)``; all, unless it knows better."""
+        return np.ones(num_outputs, dtype=bool)
 
     @property
     @abc.abstractmethod
@@ -254,7 +259,8 @@ class ConvexLimit(Limit):
     def margins(self, law: SlidingLaw, at: Instant) -> Array:
         """See base class."""
         k = self.derivative
-        return self.left(at.derivative(k), deviation_bound(law, at, k))
+        value = law.chains.derivative_of(at.state, at.highest, k)
+        return self.left(value, deviation_bound(law, at, k))
 
     def flown(self, state: Array, control: Array) -> Array | None:
         """See base class."""
@@ -275,12 +281,32 @@ class ConvexLimit(Limit):
         return self.left(enclosure.ends(k), spread).min(axis=0)
 
 
+def flown(limit: Limit, chains: Chains, state: Array, control: Array) -> Array | None:
+    """`Limit.flown`, or None where a limit looks at what is no state of an output.
+
+    Args:
+        limit: to ask.
+        chains: the orders of the outputs.
+        state: x, ``(..., n, m)``.
+        control: u, ``(..., m)``.
+    """
+    if isinstance(limit, ConvexLimit):
+        read = limit.reads(chains.num_outputs)
+        if (read & (chains.each <= limit.derivative)).any():
+            return None
+    return limit.flown(state, control)
+
+
 class LinearLimit(ConvexLimit):
     """Limits ``a'y^(k) <= b``, tightened by ``|a|'R_k`` for the tube."""
 
     @abc.abstractmethod
     def normals(self, num_outputs: int) -> Array:
         """The rows a, ``(q, m)``."""
+
+    def reads(self, num_outputs: int) -> BoolArray:
+        """See base class."""
+        return np.asarray(self.normals(num_outputs).any(axis=0))
 
     @property
     @abc.abstractmethod

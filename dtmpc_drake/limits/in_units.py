@@ -14,7 +14,7 @@ from dtmpc_drake.method.enclosure import Enclosure
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.tightening import Instant
 from dtmpc_drake.method.units import Units
-from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.numerics.arrays import Array, BoolArray
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -94,6 +94,10 @@ class _TranslatedConvex(_Translated, ConvexLimit):
     def derivative(self) -> int:
         """See base class."""
         return self.limit.derivative
+
+    def reads(self, num_outputs: int) -> BoolArray:
+        """See base class."""
+        return self.limit.reads(num_outputs)
 
     @property
     def size(self) -> float | None:

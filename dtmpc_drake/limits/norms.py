@@ -25,7 +25,7 @@ from dtmpc_drake.method.enclosure import Enclosure
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.tightening import Instant, input_range
 from dtmpc_drake.method.units import Units
-from dtmpc_drake.numerics.arrays import Array, euclidean_norm
+from dtmpc_drake.numerics.arrays import Array, BoolArray, euclidean_norm
 
 MOST_READ = 4
 """Of so many numbers in z all corners of the box are looked at."""
@@ -46,6 +46,12 @@ class Norm:
     matrix: Array | None
     offset: Array | None
     bound: float
+
+    def reads(self, m: int) -> BoolArray:
+        """Which numbers of z count, ``(m,)``."""
+        if self.matrix is None:
+            return np.ones(m, dtype=bool)
+        return np.asarray(self.matrix.any(axis=0))
 
     def in_unit(self, unit: float) -> Norm:
         """The same of a z in another unit."""
@@ -115,6 +121,10 @@ class DerivativeNorm(ConvexLimit):
     def name(self) -> str:  # type: ignore[override]
         """See base class."""
         return f"{DERIVATIVES[self.of]}_norm"
+
+    def reads(self, num_outputs: int) -> BoolArray:
+        """See base class."""
+        return self.norm.reads(num_outputs)
 
     @property
     def size(self) -> float | None:

@@ -80,16 +80,27 @@ class Enclosure:
         return self.corridor.reference
 
     def ends(self, k: int) -> Array:
-        """y*^(k) at both ends of every interval, k up to n, ``(2, K, m)``."""
+        """y*^(k) at both ends of every interval, ``(2, K, m)``.
+
+        Args:
+            k: at most n_i; zero for outputs of a smaller order.
+        """
+        chains, highest = self.law.chains, self.instant.highest
         if k == self.law.order:
-            return self.instant.highest
+            return chains.derivative_of(self.instant.state, highest, k)
         meeting = self.reference.at_ends(k)
-        return np.stack([meeting[:-1], meeting[1:]])
+        ends = np.stack([meeting[:-1], meeting[1:]])
+        if chains.are_alike:
+            return ends
+        return np.select([chains.each > k, chains.each == k], [ends, highest], 0.0)
 
     def sag(self, k: int) -> Array | float:
-        """How far y*^(k) may be from the chord between its ends, ``(K, m)``."""
+        """How far y*^(k) may be from the chord between its ends, ``(K, m)``.
+
+        Not at all for k = n_i: y_i*^(n_i) is linear, and its second derivative zero.
+        """
         if k == self.law.order:
-            return 0.0  # y*^(n) is linear
+            return 0.0
         return self.reference.half**2 / 2 * self.reference.largest(k + 2)
 
     def for_user(self, law: SlidingLaw) -> Enclosure:
@@ -117,17 +128,18 @@ class Enclosure:
     def instant(self) -> Instant:
         """What is known all along each interval.
 
-        The reference has its value at the middle with a box around it, but y*^(n) has
-        its values at both ends, ``(2, K, m)``: it is linear, and a convex function of
-        it is largest at one of them.
+        The reference has its value at the middle with a box around it, but y_i*^(n_i)
+        has its values at both ends, ``(2, K, m)``: it is linear, and a convex function
+        of it is largest at one of them.
         """
-        n, middle = self.law.order, self.reference.derivatives
-        rise = self.reference.half * middle[:, n + 1]
+        chains, middle = self.law.chains, self.reference.derivatives
+        state, highest = chains.state_of(middle), chains.highest_of(middle)
+        rise = self.reference.half * chains.highest_of(middle, further=1)
         return Instant(
-            state=middle[:, :n],
-            highest=np.stack([middle[:, n] - rise, middle[:, n] + rise]),
+            state=state,
+            highest=np.stack([highest - rise, highest + rise]),
             # κ - Δ(x*), which is also K(x) - Δ(x), is a polynomial.
-            gain=self.law.gain(middle[:, :n], self.layer.derivatives[:, 1]),
+            gain=self.law.gain(state, self.layer.derivatives[:, 1]),
             error_bound=self.error_bound,
             state_radius=self.reference_radius,
             gain_radius=self.layer.radius(1),

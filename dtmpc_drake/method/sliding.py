@@ -7,40 +7,15 @@ along the last but one axis; slope, gain and layer have shape ``(..., m)``.
 from __future__ import annotations
 
 import dataclasses
-from functools import lru_cache
-from math import comb
+from functools import cached_property
 
 import numpy as np
 from pydrake.math import max as drake_max
 from pydrake.math import min as drake_min
 
+from dtmpc_drake.method.chains import Chains, surface_coefficients
 from dtmpc_drake.models import Model
 from dtmpc_drake.numerics.arrays import Array
-
-
-def surface_coefficients(slope: Array, order: int) -> Array:
-    """c_k = C(n-1, k) λ^(n-1-k), so that s = Σ_k c_k ỹ^(k)  (eq. s).
-
-    Args:
-        slope: λ, shape ``(..., m)``, in 1/s.
-        order: n.
-
-    Returns:
-        Shape ``(..., n, m)``; the last row is one.  Read-only if ``(n, m)``.
-    """
-    if slope.ndim == 1 and slope.dtype != object:
-        return _kept_coefficients(tuple(slope.tolist()), order)
-    return np.stack(
-        [comb(order - 1, k) * slope ** (order - 1 - k) for k in range(order)], axis=-2
-    )
-
-
-@lru_cache
-def _kept_coefficients(slope: tuple[float, ...], order: int) -> Array:
-    """A flight asks for the same ones at every stage of every step."""
-    (coefficients,) = surface_coefficients(np.array(slope)[None], order)
-    coefficients.flags.writeable = False
-    return np.asarray(coefficients)
 
 
 def _weighted_sum(weights: Array, rows: Array) -> Array:
@@ -57,9 +32,17 @@ def _weighted_sum(weights: Array, rows: Array) -> Array:
     return np.asarray(sum(terms[1:], start=terms[0]) if terms else rows.sum(axis=-2))
 
 
-def sliding_variable(error: Array, slope: Array) -> Array:
-    """S = (d/dt + λ)^(n-1) ỹ  (eq. s), shape ``(..., m)``."""
-    return _weighted_sum(surface_coefficients(slope, error.shape[-2]), error)
+def sliding_variable(error: Array, slope: Array, chains: Chains | None = None) -> Array:
+    """S = (d/dt + λ)^(n-1) ỹ  (eq. s), shape ``(..., m)``.
+
+    Args:
+        error: ỹ and its derivatives, ``(..., n, m)``.
+        slope: λ, ``(m,)``.
+        chains: gives the order of each output; all n if left out.
+    """
+    if chains is None:
+        return _weighted_sum(surface_coefficients(slope, error.shape[-2]), error)
+    return _weighted_sum(chains.coefficients(slope), error)
 
 
 def saturation(value: Array) -> Array:
@@ -120,8 +103,8 @@ class SlidingLaw:
     Attributes:
         model: F̂, B, Δ and their bounds, as the controller knows them.
         slope: λ, ``(m,)``, in 1/s.
-        disturbance_bound: D, ``(m,)``, in output unit / s^n.
-        reaching_rate: η, in output unit / s^n.
+        disturbance_bound: D, ``(m,)``, in output unit / s^n_i.
+        reaching_rate: η, one number, in output unit / s^n_i of every output.
     """
 
     model: Model
@@ -129,9 +112,14 @@ class SlidingLaw:
     disturbance_bound: Array
     reaching_rate: float
 
+    @cached_property
+    def chains(self) -> Chains:
+        """The orders of the model's outputs."""
+        return Chains.of(self.model)
+
     @property
     def order(self) -> int:
-        """The model's n."""
+        """The model's n, the largest of its orders."""
         return self.model.order
 
     @property
@@ -141,12 +129,12 @@ class SlidingLaw:
 
     @property
     def coefficients(self) -> Array:
-        """c_k of the sliding surface, ``(n, m)``; see `surface_coefficients`."""
-        return surface_coefficients(self.slope, self.order)
+        """c_k of the sliding surface, ``(n, m)``; see `Chains.coefficients`."""
+        return self.chains.coefficients(self.slope)
 
     def sliding_variable(self, error: Array) -> Array:
         """S of an error ``(..., n, m)``; see the function of that name."""
-        return sliding_variable(error, self.slope)
+        return sliding_variable(error, self.slope, self.chains)
 
     def forcing_of(self, model_error: Array | float) -> Array:
         """What drives the boundary layer where the model error is at most so much.
@@ -182,7 +170,7 @@ class SlidingLaw:
 
         Args:
             state: x, ``(..., n, m)``.
-            reference: y* and its derivatives up to the n-th, ``(..., n + 1, m)``.
+            reference: x* and, in the last row, y_i*^(n_i), ``(..., n + 1, m)``.
             layer: Φ*, ``(..., m)``.
             layer_rate: the exact dΦ*/dt, ``(..., m)``.
 
@@ -191,7 +179,8 @@ class SlidingLaw:
         """
         order, coefficients = self.order, self.coefficients
         error = state - reference[..., :order, :]
-        # y_r^(n) = y*^(n) - Σ_{k=1}^{n-1} C(n-1, k-1) λ^(n-k) ỹ^(k)
+        # y_r^(n) = y*^(n) - Σ_{k=1}^{n-1} C(n-1, k-1) λ^(n-k) ỹ^(k), with n = n_i;
+        # errors that do not exist are zero.
         damping = _weighted_sum(coefficients[..., :-1, :], error[..., 1:, :])
         s = _weighted_sum(coefficients, error)
         demand = (

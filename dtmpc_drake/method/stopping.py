@@ -73,12 +73,13 @@ def range_needed(
     state = np.zeros((2 * _STEPS + 1, n, m))
     if n > 1:
         state[:, 1] = velocity
+    state = law.chains.existing(state)
     span = 10 * n / min(bandwidth, float(law.slope.min()))
     tube = propagate(
         law,
         reference=state,
         bandwidth=np.full((2 * _STEPS + 1, m), bandwidth),
-        start=TubeStart.of_error(np.zeros((n, m)), layer, law.slope),
+        start=TubeStart.of_error(np.zeros((n, m)), layer, law.slope, law.chains),
         velocity_bound="comparison",
         step=span / _STEPS,
     )
@@ -91,5 +92,10 @@ def range_needed(
     )
     feedback = float(input_bound(law, at_rest))
     speed = float(np.linalg.norm(velocity))
-    stop = stopping_time(speed, input_limit - feedback, n)
-    return speed * (delay + stop / 2) + 2 * float(np.linalg.norm(error_bound[0]))
+    moving = law.chains.each[velocity != 0]
+    stop = max(
+        (stopping_time(speed, input_limit - feedback, int(k)) for k in set(moving)),
+        default=0.0,
+    )
+    place = error_bound[0, : law.model.num_positions]
+    return speed * (delay + stop / 2) + 2 * float(np.linalg.norm(place))

@@ -22,7 +22,7 @@ class Instant:
 
     Attributes:
         state: x*, ``(..., n, m)``.
-        highest: y*^(n), ``(..., m)``.
+        highest: y_i*^(n_i), ``(..., m)``.
         gain: κ = αΦ, ``(..., m)``.
         error_bound: R_k, the bounds of ``|ỹ^(k)|``, ``(..., n, m)``.
         state_radius: of the box around `state` that holds x*, ``(..., n, m)``.
@@ -37,7 +37,10 @@ class Instant:
     gain_radius: Array | float = 0.0
 
     def derivative(self, k: int) -> Array:
-        """y*^(k), ``(..., m)``."""
+        """y*^(k) of all outputs of an order above k, or of order n if that is k.
+
+        See `Chains.derivative_of` for outputs whose orders differ, ``(..., m)``.
+        """
         return self.highest if k == self.state.shape[-2] else self.state[..., k, :]
 
     @property
@@ -56,7 +59,7 @@ def feedback_bound(law: SlidingLaw, at: Instant) -> Array:
     make it where Δ(x) < Δ(x*).
 
     Returns:
-        Shape ``(..., m)``, in output unit / s^n.
+        Shape ``(..., m)``, in output unit / s^n_i.
     """
     largest = law.model.model_error_bound_over(at.state, at.box)
     drift = law.model.drift_bound_over(at.state, at.box)
@@ -108,16 +111,18 @@ def input_bound(law: SlidingLaw, at: Instant) -> Array:
 
 
 def deviation_bound(law: SlidingLaw, at: Instant, k: int) -> Array:
-    """A bound of ``|ỹ^(k)|`` for k up to n, which tightens limits (corollary 1).
+    """A bound of ``|ỹ^(k)|`` for k up to n_i, which tightens limits (corollary 1).
 
     The highest derivative is no state of the tube, but
     ``ỹ^(n) = f̃ + d - Σ_{k=1}^{n-1} C(n-1,k-1) λ^(n-k) ỹ^(k) - K sat(s/Φ)``.
 
     Returns:
-        Shape ``(..., m)``.
+        Shape ``(..., m)``; zero for outputs of order below k, of which nothing is
+        known.
     """
-    if k < law.order:
+    if k not in law.chains.orders:
         return at.error_bound[..., k, :]
     largest = law.model.model_error_bound_over(at.state, at.box)
     pushed = law.disturbance_bound + largest
-    return pushed + _damping(law, at) + _switching(law, at, largest)
+    highest = pushed + _damping(law, at) + _switching(law, at, largest)
+    return law.chains.derivative_of(at.error_bound, highest, k)

@@ -10,6 +10,7 @@ about 2, whatever units a user has.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -37,22 +38,32 @@ class Units:
 
     @classmethod
     def own(
-        cls, *, speed: float, slope: Array, bandwidth: Array | float, order: int
+        cls,
+        *,
+        speed: float,
+        slope: Array,
+        bandwidth: Array | float,
+        orders: Sequence[int],
     ) -> Units:
         """Those of a problem.
 
-        The cost goes with them, so that a weight of the input stays what it is.
+        The cost goes with them, so that a weight of the input stays what it is.  Where
+        outputs differ in their order the unit of time is the user's: in another one
+        their inputs, of which there may be norms, would no longer be so large as each
+        other.
 
         Args:
             speed: the largest that is allowed along an axis.
             slope: λ, ``(m,)``, in 1/s.
             bandwidth: the largest α, one for all outputs or ``(m,)``, in rad/s.
-            order: n; without a sliding surface (n = 1) the slope says nothing.
+            orders: n_i of every output; without sliding surfaces (n = 1) the slope
+                says nothing.
         """
+        order, alike = max(orders), min(orders) == max(orders)
         rate = float(np.mean(bandwidth)) / 2
         if order > 1:
             rate = max(rate, float(np.mean(slope)))
-        time = _unless_near(RATE / rate)
+        time = _unless_near(RATE / rate) if alike else 1.0
         length = _unless_near(speed * time / SPEED)
         return cls(length, time, (length / time**order) ** 2 * time)
 

@@ -12,6 +12,7 @@ from dtmpc_drake.models.chain import IntegratorChain
 # isort: on
 from dtmpc_drake.models.base import MODELS, Model, register_model
 from dtmpc_drake.models.constant import ConstantUncertainty
+from dtmpc_drake.models.lagged import LaggedMultirotor
 from dtmpc_drake.models.sampled import SampledBoxBounds
 
 __all__ = [
@@ -19,6 +20,7 @@ __all__ = [
     "ConstantUncertainty",
     "DragDoubleIntegrator",
     "IntegratorChain",
+    "LaggedMultirotor",
     "Model",
     "SampledBoxBounds",
     "register_model",

@@ -1,7 +1,7 @@
 """What a model of a plant must say of itself."""
 
 import abc
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,13 @@ class Model(Part, abc.ABC):
     num_outputs: int
     """m, the number of outputs and of inputs."""
     order: int
-    """n, the order of every output."""
+    """n, the order of every output, or the largest if they differ."""
+    orders: Sequence[int] | None = None
+    """n_i, the order of each output; None if all are `order`.  States have the rows
+    of the largest, and those that an output does not have are zero."""
+    num_positions: int | None = None
+    """So many outputs, the first ones, say where it is: obstacles are in their space.
+    Others, such as a heading, no obstacle sees.  All are such if None."""
     parameter_names: tuple[str, ...] = ()
     """Names of the parameters of the true plant."""
     length_unit: str = "m"
@@ -74,7 +80,7 @@ class Model(Part, abc.ABC):
             x: shape ``(..., n, m)``.
 
         Returns:
-            Shape ``(..., m)``, in output unit / s^n.
+            Shape ``(..., m)``, in output unit / s^n_i.
         """
 
     @abc.abstractmethod
@@ -141,7 +147,7 @@ class Model(Part, abc.ABC):
 
         Args:
             x: shape ``(..., n, m)``.
-            demand: shape ``(..., m)``, in output unit / s^n.
+            demand: shape ``(..., m)``, in output unit / s^n_i.
 
         Returns:
             Shape ``(..., m)``.

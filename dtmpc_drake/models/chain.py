@@ -22,6 +22,7 @@ class IntegratorChain(Model):
         num_outputs: m.
         order: n.
         error_bound: Δ, one number for all outputs, in output unit / s^n.
+        orders: n_i of each output, if they differ; m and n follow from them.
         length_unit: of the outputs.
         outputs: their names, if they are not x, y and z.
         inputs: their names, if they are not u0, u1, ...
@@ -30,9 +31,15 @@ class IntegratorChain(Model):
     num_outputs: int = 3
     order: int = 2
     error_bound: float = 0.0
+    orders: list[int] | None = None
     length_unit: str = "m"
     outputs: list[str] = dataclasses.field(default_factory=list)
     inputs: list[str] = dataclasses.field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Takes m and n from the orders, if they are given."""
+        if self.orders:
+            self.num_outputs, self.order = len(self.orders), max(self.orders)
 
     # The true model error of every output, in output unit / s^n.
     parameter_names = ("model_error",)

@@ -12,8 +12,9 @@ from dtmpc_drake.numerics.arrays import Array
 class InUnits(WrappedModel):
     """Another model in units in which its own are so large.
 
-    Inputs count in the unit of the n-th derivative, so that B is what it was.  Names,
-    and their units, stay those that the user knows.
+    Inputs count in the unit of the n-th derivative, so that B is what it was.  That
+    asks for outputs of one order, or for a unit of time that is the user's.  Names, and
+    their units, stay those that the user knows.
 
     Args:
         model: in the user's units.

@@ -16,7 +16,9 @@ class WrappedModel(Model):
 
     def __init__(self, model: Model) -> None:
         self.model = model
-        self.num_outputs, self.order = model.num_outputs, model.order
+        self.num_outputs = model.num_outputs
+        self.order, self.orders = model.order, model.orders
+        self.num_positions = model.num_positions
         self.parameter_names = model.parameter_names
         self.length_unit = model.length_unit
 

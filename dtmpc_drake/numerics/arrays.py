@@ -12,6 +12,7 @@ Array = npt.NDArray[Any]
 """Floats in the planner, and AutoDiffXd or Expression in the systems."""
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.int_]
 
 _SMOOTHING = 1e-9
 """Below this speed a norm is rounded off, so that it has a derivative at rest."""

@@ -4,10 +4,17 @@ A first-order hold on y^(n) makes y a spline of degree n + 1 on the knot grid.
 Its B-spline coefficients are a basis of exactly these functions, so the planner
 decides them, and no dynamics constraint is left; every value and every Bézier
 control point depends on n + 2 neighbouring coefficients.
+
+Outputs of different order have splines of different degree (`Splines`).  What turns
+their coefficients into something, a *basis*, is ``(..., degree + 1, m)`` with the
+largest degree, and zero for coefficients that an output does not have; or
+``(..., degree + 1, 1)`` if all are alike.
 """
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from math import comb, factorial
 from typing import Any
@@ -139,3 +146,134 @@ def refine(coefficients: Array, degree: int) -> Array:
     # Keep the coefficients whose support touches the interval.
     first = degree
     return full[first : first + 2 * (count - degree) + degree]
+
+
+def grouped(orders: Sequence[int]) -> list[tuple[int, Any]]:
+    """Each order that outputs have, the largest first, and the index of those."""
+    found = sorted(set(orders), reverse=True)
+    if len(found) == 1:
+        return [(found[0], slice(None))]
+    return [(order, np.flatnonzero(np.array(orders) == order)) for order in found]
+
+
+@dataclasses.dataclass(frozen=True)
+class Splines:
+    """Splines of several outputs on one uniform grid, each of its own degree.
+
+    They are stored as if all were of the largest degree, the coefficients of others
+    zero at the end.
+
+    Attributes:
+        orders: n_i of each output, whose degree is n_i + 1.
+        step: between two knots, in s.
+    """
+
+    orders: tuple[int, ...]
+    step: float
+
+    @property
+    def degree(self) -> int:
+        """The largest."""
+        return max(self.orders) + 1
+
+    def unused(self, intervals: int) -> Array:
+        """Which coefficients no output has, flattened, out of ``(N + degree, m)``."""
+        row = np.arange(intervals + self.degree)[:, None]
+        return np.flatnonzero(row > intervals + np.array(self.orders))
+
+    def values(self, points: Array) -> Array:
+        """The state and, in one more row, the derivatives of order n_i.
+
+        Args:
+            points: local times in one piece, ``(P,)``.
+
+        Returns:
+            A basis ``(P, n + 1, degree + 1, ...)``.
+        """
+        n = self.degree - 1
+
+        def rows(order: int) -> Array:
+            some = [basis(order + 1, k, points, self.step) for k in range(order + 1)]
+            none = [np.zeros_like(some[0])] * (n - order)
+            return np.stack([*some[:-1], *none, some[-1]], axis=1)
+
+        return self._each(rows)
+
+    def controls(self, derivative: int, to: int) -> Array:
+        """Bézier points of a derivative, as of a polynomial of a certain degree.
+
+        Args:
+            derivative: k; the points of outputs of an order below k are zero.
+            to: the degree, at least that of every output's derivative.
+
+        Returns:
+            A basis ``(to + 1, degree + 1, ...)``.
+        """
+
+        def rows(order: int) -> Array:
+            if derivative > order:
+                return np.zeros((to + 1, order + 2))
+            points = control_basis(order + 1, derivative, self.step)
+            degree = order + 1 - derivative
+            return points if degree == to else elevation(degree, to) @ points
+
+        return self._each(rows)
+
+    def pieces(self, coefficients: Array) -> Array:
+        """Every piece in powers of the time since it began, ``(N, degree + 1, m)``."""
+        pieces = len(coefficients) - self.degree
+        result = np.zeros((pieces, self.degree + 1, len(self.orders)))
+        for order, some in grouped(self.orders):
+            own = coefficients[: pieces + order + 1, some]
+            own = piece_coefficients(own, order + 1, self.step)
+            result[:, : order + 2, some] = own
+        return result
+
+    def refined(self, coefficients: Array) -> Array:
+        """The same splines on a grid with twice as many intervals."""
+        pieces = len(coefficients) - self.degree
+        result = np.zeros((2 * pieces + self.degree, len(self.orders)))
+        for order, some in grouped(self.orders):
+            finer = refine(coefficients[: pieces + order + 1, some], order + 1)
+            result[: len(finer), some] = finer
+        return result
+
+    def _each(self, rows: Callable[[int], Array]) -> Array:
+        """A basis of all outputs from that of an order, ``(..., order + 2)``."""
+        groups = grouped(self.orders)
+        if len(groups) == 1:
+            return rows(groups[0][0])[..., None]
+        result: Array = np.zeros(0)
+        for order, some in groups:  # the first has the most coefficients
+            own = rows(order)
+            if not result.size:
+                result = np.zeros((*own.shape, len(self.orders)))
+            result[..., : order + 2, some] = own[..., None]
+        return result
+
+
+def applied(of: Array, coefficients: Array) -> Array:
+    """What a basis makes of coefficients.
+
+    Args:
+        of: a basis ``(r, c, m or 1)``.
+        coefficients: ``(..., c, m)``.
+
+    Returns:
+        ``(..., r, m)``.
+    """
+    if of.shape[-1] == 1:
+        return np.asarray(of[..., 0] @ coefficients)
+    return np.einsum("rcm,...cm->...rm", of, coefficients)
+
+
+def over_axes(of: Array, num_outputs: int) -> Array:
+    """A basis as a matrix of coefficients with the axes fastest, ``(r m, c m)``.
+
+    Args:
+        of: a basis ``(r, c, m or 1)``.
+        num_outputs: m.
+    """
+    rows, columns, _ = of.shape
+    each = of.swapaxes(1, 2)[..., None] * np.eye(num_outputs)[:, None]
+    return each.reshape(rows * num_outputs, columns * num_outputs)

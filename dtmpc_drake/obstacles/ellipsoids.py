@@ -97,10 +97,10 @@ class Cylinder(Ball):
 @register_obstacle
 @dataclasses.dataclass
 class Sphere(Ball):
-    """A ball in all outputs.
+    """A ball in all outputs, or in those that say where the vehicle is.
 
     Attributes:
-        center: one coordinate per output, in m.
+        center: one coordinate per such output, in m.
         radius: in m.
     """
 
@@ -114,7 +114,7 @@ class Ellipsoid(Ball):
     """The general shape: all r with ``‖H (r - center)‖ < radius``.
 
     Attributes:
-        center: one coordinate per output, in m.
+        center: one coordinate per output that says where the vehicle is, in m.
         shape: H, as rows; distances are measured in this metric.
         radius: r_o, in the unit of ``H r``.
     """

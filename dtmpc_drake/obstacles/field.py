@@ -31,22 +31,34 @@ class ObstacleSet(CoreStack):
     index: Indices
 
     @classmethod
-    def stack(cls, obstacles: Sequence[Obstacle], num_outputs: int) -> ObstacleSet:
-        """Stacks the obstacles of a scenario with `num_outputs` outputs.
+    def stack(
+        cls,
+        obstacles: Sequence[Obstacle],
+        num_outputs: int,
+        num_positions: int | None = None,
+    ) -> ObstacleSet:
+        """Stacks the obstacles of a scenario.
+
+        Args:
+            obstacles: o of them.
+            num_outputs: m.
+            num_positions: so many outputs, the first ones, are coordinates in which
+                the obstacles are given, and they see no others; all if left out.
 
         Raises:
             ScenarioError: if one is of no registered class, a subclass included.
         """
         for i, obstacle in enumerate(obstacles):
             OBSTACLES.require(f"obstacles[{i}]", obstacle)
-        matrices = [o.shape_matrix(num_outputs) for o in obstacles]
+        place = num_outputs if num_positions is None else num_positions
+        matrices = [o.shape_matrix(place) for o in obstacles]
         count, rows = len(obstacles), max((len(H) for H in matrices), default=1)
         shape = np.zeros((count, rows, num_outputs))
         center = np.zeros((count, rows))
         alike: dict[tuple[type[Obstacle], int], list[int]] = {}
         for i, (H, o) in enumerate(zip(matrices, obstacles, strict=True)):
-            shape[i, : len(H)] = H
-            center[i, : len(H)] = o.middle(num_outputs)
+            shape[i, : len(H), :place] = H
+            center[i, : len(H)] = o.middle(place)
             alike.setdefault((type(o), len(H)), []).append(i)
         groups: list[Group] = []
         group, member = np.full(count, -1), np.zeros(count, dtype=int)
@@ -77,6 +89,10 @@ class ObstacleSet(CoreStack):
             group=self.group[chosen],
             member=self.member[chosen],
         )
+
+    def in_place(self, place: slice) -> ObstacleSet:
+        """The same obstacles for some of the outputs; the others, nobody sees."""
+        return dataclasses.replace(self, shape=self.shape[:, :, place])
 
     def in_units(self, length: float) -> ObstacleSet:
         """The same obstacles in a unit that is so long."""

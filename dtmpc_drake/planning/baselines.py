@@ -32,6 +32,7 @@ from dtmpc_drake.method.layer import layer_pieces
 from dtmpc_drake.method.sliding import SlidingLaw, gain_crossover
 from dtmpc_drake.method.tube import TubeStart, propagate
 from dtmpc_drake.models import ConstantUncertainty
+from dtmpc_drake.numerics.splines import grouped
 from dtmpc_drake.planning.charges import charges
 from dtmpc_drake.planning.planner import plan_problem
 from dtmpc_drake.planning.problem import Problem
@@ -323,7 +324,10 @@ def without_tube(problem: Problem) -> Problem:
         ),
         bandwidth=problem.bandwidth.at(problem.bandwidth_cost.floor),
         tube_start=TubeStart.of_error(
-            np.zeros_like(problem.start), nothing + VANISHING, law.slope
+            np.zeros_like(problem.start),
+            nothing + VANISHING,
+            law.slope,
+            law.chains,
         ),
     )
 
@@ -376,6 +380,9 @@ def bandwidth_cost(result: PlanningResult, problem: Problem) -> float:
 def crossover(plan: Plan, scenario: Scenario) -> float:
     """The bandwidth of the whole loop, its mean over time and axes, in rad/s."""
     alpha = plan.bandwidth(plan.sample_times())
-    return float(
-        gain_crossover(bandwidth=alpha, slope=scenario.slope(), order=plan.order).mean()
-    )
+    slope, found = scenario.slope(), np.empty_like(alpha)
+    for order, some in grouped(plan.chains.orders):
+        found[:, some] = gain_crossover(
+            bandwidth=alpha[:, some], slope=slope[some], order=order
+        )
+    return float(found.mean())

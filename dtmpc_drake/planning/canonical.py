@@ -29,7 +29,7 @@ def canonical(problem: Problem) -> Problem:
         speed=problem.speed.size,
         slope=law.slope,
         bandwidth=problem.bandwidth.high,
-        order=n,
+        orders=law.chains.orders,
     )
     if units.are_the_users:
         return problem
@@ -93,4 +93,5 @@ def plan_in_units(plan: Plan, units: Units) -> Plan:
         layer_coefficients=divided(plan.layer_coefficients, units.of(n - 1)),
         bound_samples=plan.bound_samples / rows,
         bound_rate_samples=plan.bound_rate_samples / rows * time,
+        orders=plan.orders,
     )

@@ -26,26 +26,12 @@ class Ends:
     """
 
     def __init__(self, problem: Problem, intervals: int) -> None:
-        order = problem.law.order
-        degree, step = order + 1, problem.duration / intervals
-        self._intervals, self._degree, count = intervals, degree, intervals + degree
-        goal = problem.goal_rows
-        start = [*problem.start]
-        if problem.start_highest is not None:
-            start.append(problem.start_highest)
-        self._conditions = np.concatenate(
-            [
-                _conditions(intervals, degree, 0, step)[: len(start)],
-                _conditions(intervals, degree, intervals, step)[goal],
-            ]
-        )
-        self._wanted = np.concatenate([start, problem.goal[goal]])
-        part = min(int(BLEND * intervals) + 2 * order, count // 2)
-        self._free = np.r_[:part, count - part : count]
-        # In units of the step, so that problems on as many intervals share them.
-        rows = tuple(range(len(start))), tuple(goal)
-        answers = _answers(intervals, degree, part, rows)
-        self._answers = answers * step ** np.concatenate([*map(np.array, rows)])
+        chains, m = problem.law.chains, problem.law.num_outputs
+        self._shape = intervals + chains.order + 1, m
+        self._groups = [
+            (_Group(problem, intervals, order, some), some)
+            for order, some in splines.grouped(chains.orders)
+        ]
 
     def met_by(self, coefficients: Array) -> Array:
         """The nearest spline that meets both end states.
@@ -53,9 +39,11 @@ class Ends:
         Nearest in the highest derivative, with only the first and last part of
         the way changed, so that a shifted end leaves the rest where it was.
         """
-        result = coefficients.copy()
-        missing = self._wanted - self._conditions @ coefficients
-        result[self._free] += self._answers @ missing
+        result = np.zeros(self._shape)
+        for group, some in self._groups:
+            result[: group.count, some] = group.met_by(
+                coefficients[: group.count, some]
+            )
         return result
 
     def nearest_to(self, wanted: Array) -> Array:
@@ -64,6 +52,58 @@ class Ends:
         Args:
             wanted: ``(2 N + 1, m)``.
         """
+        result = np.zeros(self._shape)
+        for group, some in self._groups:
+            result[: group.count, some] = group.nearest_to(wanted[:, some])
+        return result
+
+
+class _Group:
+    """The ends of the outputs of one order.
+
+    Args:
+        problem: whose ends are meant.
+        intervals: of the grid.
+        order: n_i.
+        some: index of the outputs that have it.
+
+    Attributes:
+        count: of their coefficients.
+    """
+
+    def __init__(
+        self, problem: Problem, intervals: int, order: int, some: Array | slice
+    ) -> None:
+        degree, step = order + 1, problem.duration / intervals
+        self._intervals, self._degree = intervals, degree
+        self.count = count = intervals + degree
+        goal = [k for k in problem.goal_rows if k < order]
+        start = [*problem.start[:order, some]]
+        if problem.start_highest is not None:
+            start.append(problem.start_highest[some])
+        self._conditions = np.concatenate(
+            [
+                _conditions(intervals, degree, 0, step)[: len(start)],
+                _conditions(intervals, degree, intervals, step)[goal],
+            ]
+        )
+        self._wanted = np.concatenate([start, problem.goal[goal][:, some]])
+        part = min(int(BLEND * intervals) + 2 * order, count // 2)
+        self._free = np.r_[:part, count - part : count]
+        # In units of the step, so that problems on as many intervals share them.
+        rows = tuple(range(len(start))), tuple(goal)
+        answers = _answers(intervals, degree, part, rows)
+        self._answers = answers * step ** np.concatenate([*map(np.array, rows)])
+
+    def met_by(self, coefficients: Array) -> Array:
+        """See `Ends`."""
+        result = coefficients.copy()
+        missing = self._wanted - self._conditions @ coefficients
+        result[self._free] += self._answers @ missing
+        return result
+
+    def nearest_to(self, wanted: Array) -> Array:
+        """See `Ends`."""
         operator, normal = _least_squares(self._intervals, self._degree)
         return self.met_by(normal.solve(operator.T @ wanted))
 

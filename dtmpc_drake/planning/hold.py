@@ -47,7 +47,7 @@ def hold_plan(scenario: Scenario) -> Plan:
         law,
         reference=reference,
         bandwidth=alpha,
-        start=TubeStart.of_error(error, layer, law.slope),
+        start=TubeStart.of_error(error, layer, law.slope, law.chains),
         velocity_bound="comparison",
         step=step,
     )

@@ -2,7 +2,7 @@
 
 The vector z stacks, knot-major with the axes fastest: the spline coefficients of
 y*; the bandwidth at the knots; the tube's states at the knots (the cascade's
-stages Y_0 ... Y_(n-1) = Φ and, for the comparison bound, W); bounds of how far those
+stages, aligned at Φ, and, for the comparison bound, W); bounds of how far those
 coordinates of x* have moved at the knots in which the model has kinks; the rotations
 of the separating half-planes; and one slack.
 
@@ -43,8 +43,6 @@ class Variables:
             both ends, ``(N, S m + 2 m + (degree + 1) m + 2 len(kinked))``.
         piece_parts: where bandwidth, coefficients and moves are among them.
         bounds: from the states at a knot to R_0 ... R_(n-1), each ``(m, S m)``.
-        rate_matrix: from the states at a knot to the bound of dỹ/dt (n > 1),
-            ``(m, S m)``.
         tube_matrix: from the states at both ends of a piece to the Bézier
             points of Ω, ``(control_degree + 1, m, 2 S m)``.
     """
@@ -106,7 +104,6 @@ class Variables:
         )
         self.bounds = bounds = tr.state_bounds
         self.local_matrix = self._local_matrix(transcription, bounds)
-        self.rate_matrix = bounds[min(1, n - 1)]
         self.tube_matrix = self._tube_matrix(transcription)
 
     def coefficient_columns(self, first: Array, count: int) -> Array:
@@ -118,10 +115,10 @@ class Variables:
         coefficients, alpha = tr.degree * m, slice(tr.degree * m, tr.degree * m + m)
         columns = self.knot_columns.shape[1]
         rows = []
+        (start,) = tr.splines.values(np.zeros(1))
         for k in range(n + 1):
             row = np.zeros((m, columns))
-            start = splines.basis(tr.degree, k, np.zeros(1), tr.step)[0, : tr.degree]
-            row[:, :coefficients] = np.kron(start, np.eye(m))
+            row[:, :coefficients] = splines.over_axes(start[k : k + 1, : tr.degree], m)
             rows.append(row)
         layer, bandwidth = np.zeros((2, m, columns))
         layer[:, alpha.stop + (n - 1) * m : alpha.stop + n * m] = np.eye(m)
@@ -136,11 +133,12 @@ class Variables:
     def _tube_matrix(self, tr: Transcription) -> Array:
         n, m, S = tr.order, tr.outputs, self.num_states
         unit = np.eye(2 * S * m).reshape(2 * S * m, 2, S, m)
-        value = unit[:, :, 0]
-        if n > 1:
-            rate = unit[:, :, 1] - tr.problem.law.slope * value
-        else:  # Ω is Φ, whose rate is no linear function; a chord serves
-            rate = ((value[:, 1] - value[:, 0]) / tr.step)[:, None].repeat(2, axis=1)
+        stages = tr.chains.from_first(unit[:, :, :n])
+        value = stages[:, :, 0]
+        rate = stages[:, :, min(1, n - 1)] - tr.problem.law.slope * value
+        # Where Ω is Φ, its rate is no linear function; a chord serves.
+        chord = ((value[:, 1] - value[:, 0]) / tr.step)[:, None].repeat(2, axis=1)
+        rate = np.where(tr.chains.each > 1, rate, chord)
         points = hermite_controls(value.swapaxes(0, 1), rate.swapaxes(0, 1), tr.step)[0]
         # (4, 2 S m, m) to (control_degree + 1, m, 2 S m)
         elevate = splines.elevation(3, tr.control_degree)

@@ -144,12 +144,12 @@ def plan_problem(
 def _check_warm_start(warm_start: Guess | None, problem: Problem) -> None:
     if not isinstance(warm_start, Plan):
         return
-    n, m = problem.model.order, problem.model.num_outputs
-    if (warm_start.order, warm_start.num_outputs) != (n, m):
+    chains, m = problem.law.chains, problem.model.num_outputs
+    if warm_start.chains != chains:
         raise ValueError(
-            f"warm_start: got a plan of order {warm_start.order} with"
-            f" {warm_start.num_outputs} outputs, but it must be of order {n} with {m}"
-            " outputs, as the model is"
+            f"warm_start: got a plan of {warm_start.chains.words} with"
+            f" {warm_start.num_outputs} outputs, but it must be of {chains.words} with"
+            f" {m} outputs, as the model is"
         )
 
 

@@ -114,6 +114,7 @@ class Problem:
                 np.abs(scenario.initial_error_state()),
                 scenario.initial_boundary_layer(),
                 law.slope,
+                law.chains,
             ),
             velocity_bound=velocity_bound,
         )

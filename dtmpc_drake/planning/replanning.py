@@ -88,17 +88,19 @@ def carried_start(
     """
     law, n = problem.law, problem.law.order
     error = state - plan.reference(measured_at)[:n]
-    start = TubeStart.of_error(error, plan.boundary_layer(measured_at), law.slope)
+    start = TubeStart.of_error(
+        error, plan.boundary_layer(measured_at), law.slope, law.chains
+    )
     stages, highest = start.stages, start.highest
     if until > measured_at:
         steps = max(2, int(np.ceil((until - measured_at) / CARRY_STEP)))
         times = np.linspace(measured_at, until, 2 * steps + 1)
         tube = _tube_along(plan, problem, times, start)
-        stages, highest = tube.stages[-1], tube.error_bound[-1, -1]
+        stages, highest = tube.stages[-1], law.chains.top(tube.error_bound[-1])
     own = plan.error_bound(until)
-    stages = np.minimum(stages, stages_of_bounds(own, law.slope))
+    stages = np.minimum(stages, stages_of_bounds(law.chains, own, law.slope))
     stages[-1] = plan.boundary_layer(until)
-    return TubeStart(stages, np.minimum(highest, own[-1]))
+    return TubeStart(stages, np.minimum(highest, law.chains.top(own)))
 
 
 def _tube_along(plan: Plan, problem: Problem, time: Array, start: TubeStart) -> Tube:

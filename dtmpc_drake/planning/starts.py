@@ -35,9 +35,9 @@ def straight_line(transcription: Transcription) -> Decisions:
     tr, p = transcription, transcription.problem
     count = tr.intervals + tr.degree
     # Greville abscissae reproduce linear functions exactly.
-    greville = (np.arange(count) - (tr.degree - 1) / 2) / tr.intervals
+    greville = (np.arange(count)[:, None] - p.law.chains.each / 2) / tr.intervals
     way = np.nan_to_num(p.goal[0] - p.start[0])  # a free end stays where it is
-    line = p.start[0] + greville[:, None] * way
+    line = p.start[0] + greville * way
     return tr.ends.met_by(line), _highest(tr)
 
 

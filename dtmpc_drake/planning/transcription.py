@@ -21,7 +21,7 @@ from dtmpc_drake.costs import Cost
 from dtmpc_drake.limits import ConvexLimit
 from dtmpc_drake.method.layer import layer_pieces
 from dtmpc_drake.method.tightening import Instant, deviation_bound
-from dtmpc_drake.method.tube import Tube, cascade_bound, filter_rates, propagate
+from dtmpc_drake.method.tube import Tube, cascade_bounds, filter_rates, propagate
 from dtmpc_drake.numerics import splines
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.obstacles.separation import Halfplanes, separate
@@ -73,6 +73,7 @@ class Transcription:
     ) -> None:
         self.problem, self.options, self.reach = problem, options, reach
         law = problem.law
+        self.chains = law.chains
         self.order, self.outputs = law.order, law.num_outputs
         self.intervals = intervals
         self.step = problem.duration / intervals
@@ -98,21 +99,11 @@ class Transcription:
             least = min(max(_power_of_two(8 * self.step * high), least), most)
         self.tube_steps = refinement * max(least, 2 * finest)
         fine = np.arange(2 * self.tube_steps) / (2 * self.tube_steps)
-        self._half_basis = np.stack(
-            [
-                splines.basis(self.degree, k, fine, self.step)
-                for k in range(self.order + 1)
-            ],
-            axis=1,
-        ).reshape(-1, self.degree + 1)
-        self._end_basis = np.stack(
-            [
-                splines.basis(self.degree, k, np.ones(1), self.step)[0]
-                for k in range(self.order + 1)
-            ]
-        )
-        elevate = splines.elevation(self.degree, self.control_degree)
-        self.position_basis = elevate @ splines.control_basis(self.degree, 0, self.step)
+        self.splines = splines.Splines(self.chains.orders, self.step)
+        half = self.splines.values(fine)
+        self._half_basis = half.reshape(-1, *half.shape[2:])
+        (self._end_basis,) = self.splines.values(np.ones(1))
+        self.position_basis = self.splines.controls(0, self.control_degree)
         self._hermite_elevation = splines.elevation(3, self.control_degree)
         self._fine = np.linspace(0, 1, self.tube_steps + 1)
 
@@ -125,7 +116,7 @@ class Transcription:
     def convex_bases(self) -> tuple[Array, ...]:
         """From coefficients to the control points of each of `Problem.convex`."""
         return tuple(
-            splines.control_basis(self.degree, limit.derivative, self.step)
+            self.splines.controls(limit.derivative, self.degree - limit.derivative)
             for limit in self.problem.convex
         )
 
@@ -143,8 +134,9 @@ class Transcription:
         """
         p, n = self.problem, self.order
         windows = splines.windows(coefficients, self.degree)
-        half = (self._half_basis @ windows).reshape(-1, n + 1, self.outputs)
-        last = self._end_basis @ windows[-1]
+        half = splines.applied(self._half_basis, windows)
+        half = half.reshape(-1, n + 1, self.outputs)
+        last = splines.applied(self._end_basis, windows[-1])
         reference = np.concatenate([half, last[None]])
         alpha = self._on_half_grid(bandwidth)
         tube = propagate(
@@ -164,10 +156,13 @@ class Transcription:
         )
         at_knots = slice(None, None, self.tube_steps)
         local = self._local(reference, tube, bandwidth, at_knots)
-        controls = self.position_basis @ windows
+        controls = splines.applied(self.position_basis, windows)
         tube_controls = self._tube_controls(tube)
         points = [
-            (basis @ windows, self._deviation_controls(limit, at_nodes, len(basis)))
+            (
+                splines.applied(basis, windows),
+                self._deviation_controls(limit, at_nodes, len(basis)),
+            )
             for limit, basis in zip(p.convex, self.convex_bases, strict=True)
         ]
         reserve = self.options.sampled_reserve
@@ -249,10 +244,13 @@ class Transcription:
         return piece, nodes / self.tube_steps - piece
 
     def basis_at(self, nodes: Array) -> Array:
-        """Spline basis of y* and its derivatives, ``(len(nodes), n + 1, degree + 1)``.
+        """Spline basis of the reference at nodes of the fine grid.
 
         Args:
             nodes: of the fine grid.
+
+        Returns:
+            ``(len(nodes), n + 1, degree + 1, m or 1)``.
         """
         piece, _ = self.within(nodes)
         return self._node_basis[nodes - piece * self.tube_steps]
@@ -260,7 +258,8 @@ class Transcription:
     @cached_property
     def _node_basis(self) -> Array:
         """The basis at the nodes of any piece, both its ends included."""
-        half = self._half_basis.reshape(-1, self.order + 1, self.degree + 1)
+        shape = self._end_basis.shape
+        half = self._half_basis.reshape(-1, *shape)
         return np.concatenate([half[::2], self._end_basis[None]])
 
     def _cost(self, local: Local, bandwidth: Array) -> float:
@@ -388,10 +387,10 @@ class Transcription:
         )
 
     def tube_states(self, iterate: Iterate, stride: int | None = None) -> Array:
-        """Y_0 ... Y_(n-1) = Φ and, if it is a state, W; at every knot by default."""
+        """The stages, aligned at Φ, and, if it is a state, W; at knots by default."""
         rows = [iterate.tube.stages]
         if self.has_velocity_state:
-            rows.append(iterate.tube.error_bound[:, -1:])
+            rows.append(self.chains.top(iterate.tube.error_bound)[:, None])
         return np.concatenate(rows, axis=1)[:: stride or self.tube_steps]
 
     @property
@@ -405,11 +404,10 @@ class Transcription:
         n, m = self.order, self.outputs
         S = n + self.has_velocity_state
         unit = np.eye(S * m).reshape(S * m, S, m)
-        slope = self.problem.law.slope
-        bounds = [cascade_bound(unit[:, :n], slope, k).T for k in range(n)]
+        bounds = cascade_bounds(self.chains, unit[:, :n], self.problem.law.slope)
         if self.has_velocity_state:
-            bounds[-1] = unit[:, n].T
-        return bounds
+            self.chains.set_top(bounds, unit[:, n])
+        return [bounds[:, k].T for k in range(n)]
 
     # Results.
 
@@ -419,9 +417,7 @@ class Transcription:
         count = self.intervals * self.tube_steps
         return Plan(
             knots=self.knots,
-            coefficients=splines.piece_coefficients(
-                iterate.coefficients, self.degree, self.step
-            ),
+            coefficients=self.splines.pieces(iterate.coefficients),
             bandwidth_knots=iterate.bandwidth,
             tube_times=p.start_time + p.duration * np.arange(count + 1) / count,
             layer_coefficients=layer_pieces(
@@ -433,6 +429,7 @@ class Transcription:
             ),
             bound_samples=tube.error_bound,
             bound_rate_samples=tube.error_bound_rate,
+            orders=self.chains.each,
         )
 
 

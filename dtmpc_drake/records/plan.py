@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dtmpc_drake.numerics.arrays import FloatArray
+from dtmpc_drake.method.chains import Chains
+from dtmpc_drake.numerics.arrays import FloatArray, IntArray
 from dtmpc_drake.numerics.polynomials import cut, locate, power_derivatives, shifted
 from dtmpc_drake.records.archive import DAMAGE, require_archive
 
@@ -27,7 +28,8 @@ class Plan:
     """A reference y*(t), the tube around it and the bandwidth that makes it.
 
     The reference is a piecewise polynomial of degree n + 1 whose n-th
-    derivative is continuous; the bandwidth α is piecewise linear between the
+    derivative is continuous; where outputs differ in their order, each has its own
+    n_i for n.  The bandwidth α is piecewise linear between the
     same knots.  The tube that follows from both is kept on a finer grid.  Φ* is a
     polynomial on each of its steps, and `boundary_layer_rate` is the exact
     derivative, which is all that the invariance of the layer needs; the bandwidth
@@ -39,13 +41,14 @@ class Plan:
     Attributes:
         knots: ``(N + 1,)``, in s.
         coefficients: of y* in powers of the time since a piece began,
-            ``(N, n + 2, m)``.
+            ``(N, n + 2, m)``; zero beyond the power n_i + 1.
         bandwidth_knots: α, ``(N + 1, m)``, in rad/s.
         tube_times: the finer grid, ``(M + 1,)``, in s.
         layer_coefficients: of Φ* in powers of the time since a step of that grid
             began, ``(M, any number, m)``.
-        bound_samples: bounds of ``|ỹ^(k)|``, ``(M + 1, n, m)``.
+        bound_samples: bounds of ``|ỹ^(k)|``, ``(M + 1, n, m)``; zero where k >= n_i.
         bound_rate_samples: their time derivatives, same shape.
+        orders: n_i, ``(m,)``; all n if left out.
     """
 
     knots: FloatArray
@@ -55,9 +58,13 @@ class Plan:
     layer_coefficients: FloatArray
     bound_samples: FloatArray
     bound_rate_samples: FloatArray
+    orders: IntArray | None = None
 
     def __post_init__(self) -> None:
         """Makes what is shared read-only, and the same bits in and out of a file."""
+        if self.orders is None:
+            alike = np.full(self.coefficients.shape[2:], self.order)
+            object.__setattr__(self, "orders", alike)
         for field in dataclasses.fields(self):
             view = np.ascontiguousarray(getattr(self, field.name)).view()
             view.flags.writeable = False
@@ -79,13 +86,18 @@ class Plan:
 
     @property
     def order(self) -> int:
-        """n, the order of the outputs."""
+        """n, the order of the outputs, or the largest if they differ."""
         return int(self.coefficients.shape[1]) - 2
 
     @property
     def num_outputs(self) -> int:
         """m, the number of outputs."""
         return int(self.coefficients.shape[2])
+
+    @cached_property
+    def chains(self) -> Chains:
+        """The orders of the outputs."""
+        return Chains(tuple(map(int, np.asarray(self.orders))))
 
     @property
     def is_uniform(self) -> bool:
@@ -100,7 +112,20 @@ class Plan:
         return bool(off <= 1e-9 * span)
 
     def reference(self, time: FloatArray | float) -> FloatArray:
-        """y* and its derivatives up to the n-th.
+        """x* and y*^(n): y* and its derivatives up to the n-th.
+
+        Args:
+            time: shape ``(...)``, in s.
+
+        Returns:
+            Shape ``(..., n + 1, m)``; row k is the k-th derivative.  Where outputs
+            differ in their order the last row is y_i*^(n_i) of each, and rows between
+            it and n_i - 1 are zero; see `derivatives`.
+        """
+        return self.chains.reference_of(self.derivatives(time))
+
+    def derivatives(self, time: FloatArray | float) -> FloatArray:
+        """y* and its derivatives up to the n-th of every output, whatever its order.
 
         Args:
             time: shape ``(...)``, in s.
@@ -215,6 +240,7 @@ class Plan:
             layer_coefficients=layer,
             bound_samples=self.error_bound(grid),
             bound_rate_samples=self._error_bound_rate(grid),
+            orders=self.orders,
         )
 
     def sample_times(self, period: float = _SAMPLE_PERIOD) -> FloatArray:
@@ -227,16 +253,17 @@ class Plan:
 
         For n > 2 ``acceleration`` is the second derivative, and
         ``error_bound`` has the bounds of all derivatives.  For n = 1 there is
-        no velocity tube and no acceleration.
+        no velocity tube and no acceleration; an output of order 1 beside others has
+        a velocity tube of zero, which says nothing.
         """
         time = self.sample_times(period)
-        reference = self.reference(time)
+        reference, derivatives = self.reference(time), self.derivatives(time)
         bound = self.error_bound(time)
         layer, layer_rate = self.layer(time)
         arrays = {
             "time": time,
-            "position": reference[:, 0],
-            "velocity": reference[:, 1],
+            "position": derivatives[:, 0],
+            "velocity": derivatives[:, 1],
             "bandwidth": self.bandwidth(time),
             "boundary_layer": layer,
             "boundary_layer_rate": layer_rate,
@@ -245,7 +272,7 @@ class Plan:
             "error_bound": bound,
         }
         if self.order >= 2:
-            arrays["acceleration"] = reference[:, 2]
+            arrays["acceleration"] = derivatives[:, 2]
             arrays["velocity_tube"] = bound[:, 1]
         return arrays
 
@@ -275,6 +302,8 @@ class Plan:
             with np.load(path, allow_pickle=False) as data:
                 for field in dataclasses.fields(cls):
                     reading = field.name
+                    if field.name == "orders" and "plan_orders" not in data:
+                        continue  # of a plan whose outputs are alike
                     arrays[field.name] = data[f"plan_{field.name}"]
         except DAMAGE as error:
             why = " ".join(str(error).split())
@@ -313,6 +342,13 @@ class Plan:
                 yield f"{name}: {fault}"
         if not sound:
             return
+        if not self.chains.are_alike:
+            k = np.arange(self.order + 2)[:, None]
+            if self.coefficients[:, k > self.chains.each + 1].any():
+                yield "coefficients: an output has a power beyond its order plus one"
+            for name in ("bound_samples", "bound_rate_samples"):
+                if getattr(self, name)[:, ~self.chains.exists].any():
+                    yield f"{name}: must be zero for derivatives that are no state"
         apart = np.abs(self.knots[[0, -1]] - self.tube_times[[0, -1]]).max()
         if apart > 1e-9 * (self.end_time - self.start_time):
             yield "tube_times: must begin and end where the knots do"
@@ -335,6 +371,11 @@ class Plan:
         if n < 1 or N < 1 or M < 1:
             shape = self.coefficients.shape
             return f"coefficients: {shape} with {N} pieces is of no order"
+        orders = np.asarray(self.orders)
+        if orders.shape != (m,) or orders.dtype.kind not in "iu":
+            return f"orders: must be {m} whole numbers, one for each output"
+        if orders.min() < 1 or orders.max() != n:
+            return f"orders: {orders.tolist()} where the largest must be {n}"
         powers = self.layer_coefficients.shape[1]
         return {
             "knots": ((N + 1,), self.knots),
@@ -351,7 +392,7 @@ class Plan:
         a, w = self.bandwidth_knots, self.bound_samples[:, 0]
         return (
             f"Plan({self.start_time:g} to {self.end_time:g} s, "
-            f"{len(self.knots) - 1} intervals, order {self.order}, "
+            f"{len(self.knots) - 1} intervals, {self.chains.words}, "
             f"{self.num_outputs} outputs, bandwidth {a.min():.2f} to {a.max():.2f} "
             f"rad/s, position tube at most {w.max():.3f})"
         )
@@ -427,4 +468,5 @@ def join(plans: Sequence[Plan], times: Sequence[float]) -> Plan:
         layer_coefficients=np.concatenate(layers),
         bound_samples=stacked("bound_samples"),
         bound_rate_samples=stacked("bound_rate_samples"),
+        orders=plans[0].orders,
     )

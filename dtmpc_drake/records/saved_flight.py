@@ -121,7 +121,12 @@ def read_replans(array: Array, data: Mapping[str, Array]) -> tuple[Replan, ...]:
             raise ValueError(f"revealed of number {i} must be indices of obstacles")
         plan = None
         if any(f"plan{i}_{name}" in data for name in plan_fields):
-            arrays = {name: read_array(data, f"plan{i}_{name}") for name in plan_fields}
+            arrays = {
+                name: read_array(data, f"plan{i}_{name}")
+                for name in plan_fields
+                # What older files do not say: their plans' outputs are alike.
+                if name != "orders" or f"plan{i}_orders" in data
+            }
             plan = Plan.from_arrays(arrays, where=f"plan {i}")
         fields["revealed"] = tuple(fields["revealed"])
         replans.append(Replan(**fields, plan=plan))

@@ -20,9 +20,11 @@ from dtmpc_drake.checks import (
     require_magnitude,
     require_positive,
 )
-from dtmpc_drake.costs import require_weight
+from dtmpc_drake.costs import Weight, matrix_of, require_weight
 from dtmpc_drake.errors import ScenarioError, require, show
 from dtmpc_drake.limits import ConvexLimit
+from dtmpc_drake.limits.norms import DERIVATIVES as NAMES
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.method.sliding import sliding_variable
 from dtmpc_drake.method.stability import ROOM, longest_stable_step
 from dtmpc_drake.method.stopping import range_needed
@@ -101,6 +103,7 @@ def _check_sizes(scenario: Scenario) -> None:
     m, n = scenario.model.num_outputs, scenario.model.order
     require("model.num_outputs", m, 1 <= m <= 1000, "at least 1, at most 1000")
     require("model.order", n, 1 <= n <= 10, "in [1, 10]")
+    _check_orders(scenario)
     rows = _waypoint_rows(scenario)
     for field, row in rows.items():
         k = DERIVATIVES.index(field.split(".")[1])
@@ -108,8 +111,32 @@ def _check_sizes(scenario: Scenario) -> None:
     require_length("controller.slope", scenario.controller.slope, m)
     if isinstance(scenario.limits.speed, list):
         require_length("limits.speed", scenario.limits.speed, m)
+    chains = Chains.of(scenario.model)
     for field, row in rows.items():
         require_length(field, row, m)
+        k = list(DERIVATIVES).index(field.split(".")[1])
+        for i in np.flatnonzero(chains.each <= k):
+            why = f"0: output {i} is of order {chains.orders[i]}"
+            require(f"{field}[{i}]", row[i], row[i] == 0, why)
+
+
+def _check_orders(scenario: Scenario) -> None:
+    """The order of each output, and which of them say where the vehicle is."""
+    model = scenario.model
+    m, n, orders = model.num_outputs, model.order, model.orders
+    if orders is not None:
+        require_length("model.orders", orders, m)
+        for i, order in enumerate(orders):
+            whole = isinstance(order, Integral) and not isinstance(order, bool)
+            ok = whole and 1 <= order <= n
+            allowed = f"a whole number in [1, {n}], the model's order"
+            require(f"model.orders[{i}]", order, ok, allowed)
+        most = f"{n} for one output at least, as the model's order is"
+        require("model.orders", orders, max(orders) == n, most)
+    place = model.num_positions
+    if place is not None:
+        allowed = f"at least 1, at most {m}, the model's outputs"
+        require("model.num_positions", place, 1 <= place <= m, allowed)
 
 
 def _check_names(scenario: Scenario) -> None:
@@ -214,6 +241,8 @@ def _check_costs(scenario: Scenario) -> None:
             order = scenario.model.order
             why = f"left out: the model is of order {order}"
             require(field, weight, k < order or not np.any(weight), why)
+            if np.any(weight):
+                _check_weighed(field, weight, k, Chains.of(scenario.model))
     if cost.state is None or cost.state.line is None:
         return
     for name in ("point", "direction"):
@@ -222,6 +251,17 @@ def _check_costs(scenario: Scenario) -> None:
         for i, value in enumerate(row):
             require_magnitude(f"{field}[{i}]", value, scenario.model.output_units[i])
     require(field, row, bool(np.linalg.norm(row) >= 1e-9), "longer than 0")
+
+
+def _check_weighed(field: str, weight: Weight, k: int, chains: Chains) -> None:
+    """Refuses to weigh derivatives of outputs that do not have them."""
+    whole = matrix_of(weight, chains.num_outputs)
+    for i in np.flatnonzero(chains.each <= k):
+        why = (
+            f"a list or a matrix that is 0 for output {i}, which is of order"
+            f" {chains.orders[i]}"
+        )
+        require(field, weight, not whole[i].any(), why)
 
 
 def _check_soft_goal(scenario: Scenario) -> None:
@@ -246,15 +286,36 @@ def _check_parts(scenario: Scenario) -> None:
         length_unit=model.length_unit,
         output_units=model.output_units,
         input_units=model.input_units,
+        num_positions=model.num_positions,
     )
     model.check("model", setting)
     scenario.disturbance.check("disturbance", setting)
     for i, obstacle in enumerate(scenario.obstacles):
-        obstacle.check(f"obstacles[{i}]", setting)
+        obstacle.check(f"obstacles[{i}]", setting.place)
     for path, part in _limits_by_path(scenario).items():
         part.check(path, setting)
+    _check_limits_exist(scenario)
     for i, cost in enumerate(scenario.cost.own):
         cost.check(f"cost.own[{i}]", setting)
+
+
+def _check_limits_exist(scenario: Scenario) -> None:
+    """Refuses limits of derivatives beyond the highest that is bounded, y_i^(n_i)."""
+    chains = Chains.of(scenario.model)
+    limits = zip(_limits_by_path(scenario), scenario.limits.others, strict=True)
+    for path, limit in limits:
+        if not isinstance(limit, ConvexLimit):
+            continue
+        k = limit.derivative
+        beyond = limit.reads(chains.num_outputs) & (chains.each < k)
+        for i in np.flatnonzero(beyond)[:1]:
+            name = [*NAMES][k] if k < len(NAMES) else f"derivative {k}"
+            why = (
+                f"one that does not look at output {i} (a column of zeros in its"
+                f" matrix): it is of order {chains.orders[i]}, and nothing bounds its"
+                f" {name}"
+            )
+            raise ScenarioError(path, name, why)
 
 
 # Together.
@@ -322,7 +383,8 @@ def _check_motion(scenario: Scenario) -> None:
         duration >= shortest or scenario.goal_is_soft,
         f"at least {shortest:.4g} s: the goal is that far at the speed limit",
     )
-    s = sliding_variable(scenario.initial_error_state(), scenario.slope())
+    chains = Chains.of(scenario.model)
+    s = sliding_variable(scenario.initial_error_state(), scenario.slope(), chains)
     layer = scenario.controller.initial_boundary_layer
     require(
         "initial_error",
@@ -371,7 +433,7 @@ def _check_limits_at_ends(scenario: Scenario) -> None:
     if not scenario.limits.others:
         return
     error, names = np.abs(scenario.initial_error_state()), DERIVATIVES
-    law = scenario.sliding_law()
+    law, chains = scenario.sliding_law(), Chains.of(scenario.model)
     final = np.zeros_like(error)
     final[0] = smallest_final_tube(scenario)
     ends = {
@@ -382,6 +444,8 @@ def _check_limits_at_ends(scenario: Scenario) -> None:
     for path, limit in limits:
         if not isinstance(limit, ConvexLimit) or limit.derivative >= len(error):
             continue
+        if (limit.reads(error.shape[1]) & (chains.each <= limit.derivative)).any():
+            continue  # it looks at what is no state
         k, unit = limit.derivative, limit.unit(law)
         for end, (state, tube) in ends.items():
             if end == "goal" and k in scenario.soft_derivatives():
@@ -417,19 +481,24 @@ def smallest_final_tube(scenario: Scenario) -> Array:
 
     No plan has a smaller one.
     """
-    m, n = scenario.model.num_outputs, scenario.model.order
+    chains = Chains.of(scenario.model)
+    m, n = chains.num_outputs, chains.order
     _, alpha = scenario.controller.bandwidth.interval()
     # After ten time constants nothing is left of the start.
     rates = [*scenario.controller.slope, alpha]
     span = min(scenario.duration, 10 * n / min(rates))
     half = 2 * int(np.clip(span * max(rates), 200, 2000)) + 1
-    law = dataclasses.replace(scenario.sliding_law(), model=IntegratorChain(m, n, 0.0))
+    exact = IntegratorChain(orders=list(chains.orders), error_bound=0.0)
+    law = dataclasses.replace(scenario.sliding_law(), model=exact)
     tube = propagate(
         law,
         reference=np.zeros((half, n, m)),
         bandwidth=np.full((half, m), alpha),
         start=TubeStart.of_error(
-            scenario.initial_error_state(), scenario.initial_boundary_layer(), law.slope
+            scenario.initial_error_state(),
+            scenario.initial_boundary_layer(),
+            law.slope,
+            chains,
         ),
         velocity_bound="paper",
         step=2 * span / (half - 1),

@@ -12,6 +12,7 @@ import numpy as np
 from dtmpc_drake.costs import Cost, Weight
 from dtmpc_drake.disturbances import Disturbance, UniformHold
 from dtmpc_drake.limits import InputRange, Limit, NormLimit, PositionLimit
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.units import Units
 from dtmpc_drake.models import ConstantUncertainty, DragDoubleIntegrator, Model
@@ -55,7 +56,8 @@ class Controller:
 
     Attributes:
         slope: λ of the sliding surface on every output, in 1/s.
-        reaching_rate: η, in m/s².
+        reaching_rate: η, in m/s², one number for all outputs: in the unit of each
+            one's own highest derivative.
         initial_boundary_layer: Φ(t0), in m/s.
         bandwidth: bounds of α.
     """
@@ -416,8 +418,9 @@ class Scenario:
         return model
 
     def obstacle_set(self) -> ObstacleSet:
-        """The obstacles as stacked arrays."""
-        return ObstacleSet.stack(self.obstacles, self.model.num_outputs)
+        """The obstacles as stacked arrays, as they are seen by all outputs."""
+        model = self.model
+        return ObstacleSet.stack(self.obstacles, model.num_outputs, model.num_positions)
 
     def known_from(self) -> Array:
         """When each obstacle is known whatever the sensor sees, ``(o,)``, in s."""
@@ -469,7 +472,7 @@ class Scenario:
             speed=self.limits.fastest,
             slope=self.slope(),
             bandwidth=self.controller.bandwidth.interval()[1],
-            order=self.model.order,
+            orders=Chains.of(self.model).orders,
         )
 
     def slope(self) -> Array:

@@ -15,6 +15,7 @@ from pydrake.systems.framework import (
     OutputPort,
 )
 
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.numerics.arrays import BoolArray
 from dtmpc_drake.planning import Problem, plan_problem, replan, shortest_duration
 from dtmpc_drake.planning.hold import hold_plan
@@ -96,9 +97,8 @@ class DtmpcPlanner(LeafSystem):
         """
         LeafSystem.__init__(self)
         self._scenario = scenario
-        n, m = scenario.model.order, scenario.model.num_outputs
-        self._shape = (n, m)
-        self._state = self.DeclareVectorInputPort("state", n * m)
+        self._chains = Chains.of(scenario.model)
+        self._state = self.DeclareVectorInputPort("state", self._chains.size)
         self._measured_obstacles = self.DeclareAbstractInputPort(
             "measured_obstacles", Value[object]()
         )
@@ -257,7 +257,7 @@ class DtmpcPlanner(LeafSystem):
             plan,
             known=known,
             measured_at=time,
-            state=self._state.Eval(context).reshape(self._shape),
+            state=self._chains.unpack(self._state.Eval(context)),
             start=hand_over,
             news=cause != "period",
         )

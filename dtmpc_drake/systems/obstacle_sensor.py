@@ -13,6 +13,7 @@ from pydrake.systems.framework import (
     OutputPort,
 )
 
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.numerics.arrays import BoolArray
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.systems.wiring import AddConnected
@@ -59,7 +60,7 @@ class ObstacleSensor(LeafSystem):
         self._scenario = scenario
         self._count = len(scenario.obstacles)
         self._outputs = scenario.model.num_outputs
-        size = scenario.model.order * self._outputs
+        size = Chains.of(scenario.model).size
         self._state = self.DeclareVectorInputPort("state", size)
         since = np.full(max(self._count, 1), np.inf)
         since[: self._count][scenario.known_at_start()] = 0.0

@@ -1,4 +1,4 @@
-"""The true plant: y^(n) = F(x) + B(x) u + d."""
+"""The true plant: y_i^(n_i) = F_i(x) + Σ_j B_ij(x) u_j + d_i."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from pydrake.systems.framework import (
 )
 from pydrake.systems.scalar_conversion import TemplateSystem
 
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.models import Model
 from dtmpc_drake.numerics.arrays import Array
-from dtmpc_drake.systems.side_by_side import unflattened
+from dtmpc_drake.systems.side_by_side import unflattened, unpacked
 from dtmpc_drake.systems.wiring import AddConnected
 
 
@@ -39,7 +40,8 @@ def _plant_of(T: Any) -> Any:
             - state
 
         The state is the flattened ``(n, m)`` array of the models: all outputs
-        first, then their first derivatives, and so on.  `control` is u and
+        first, then their first derivatives, and so on; where outputs differ in their
+        order, without what does not exist (`Chains.pack`).  `control` is u and
         `disturbance` is d, both ``(m,)``.  With `trials`, as many plants fly
         side by side: every port is the flattened array with one more axis in
         front, such as ``(trials, n, m)`` for the state.
@@ -78,6 +80,7 @@ def _plant_of(T: Any) -> Any:
             self._model = model
             self._trials = trials
             self._lead = () if trials is None else (trials,)
+            self._chains = Chains.of(model)
             n, m = model.order, model.num_outputs
             self._shape = (*self._lead, n, m)
             middle = {
@@ -92,7 +95,8 @@ def _plant_of(T: Any) -> Any:
             self._control = self.DeclareVectorInputPort("control", count * m)
             self._disturbance = self.DeclareVectorInputPort("disturbance", count * m)
             self._model_error = self.DeclareVectorInputPort("model_error", count * m)
-            state = self.DeclareContinuousState(_vector(self._initial_state.ravel()))
+            flat = self._chains.pack(self._initial_state).ravel()
+            state = self.DeclareContinuousState(_vector(flat))
             if self._defaults:
                 self.DeclareNumericParameter(_vector(self._flat(self._defaults)))
             # A state output has no feedthrough, so that loops may close over it.
@@ -167,30 +171,32 @@ def _plant_of(T: Any) -> Any:
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
             """Each row's derivative is the next row, the last one's y^(n)."""
             state = context.get_continuous_state_vector().CopyToVector()
-            x = self._unflattened(state, *self._shape[-2:])
-            u = self._unflattened(self._control.Eval(context), -1)
+            chains, trials = self._chains, bool(self._lead)
+            x = unpacked(state, chains, self._lead, trials=trials)
+            u = self._unflattened(self._control.Eval(context))
             if not self._model.input_is_identity:
                 B = self._model.input_matrix(x)
                 u = np.einsum("...ij,...j->...i", B, u)
             highest = (
                 self._drift(context, x)
                 + u
-                + self._unflattened(self._disturbance.Eval(context), -1)
+                + self._unflattened(self._disturbance.Eval(context))
             )
             rates = np.empty(self._shape, dtype=x.dtype)
             rates[..., :-1, :] = x[..., 1:, :]
-            rates[..., -1, :] = highest
-            derivatives.get_mutable_vector().SetFromVector(rates.ravel())
+            chains.set_row(rates, highest)
+            flat = chains.pack(rates).ravel()
+            derivatives.get_mutable_vector().SetFromVector(flat)
 
         def _drift(self, context: Any, x: Array) -> Array:
             """F(x)."""
             if not self._model_error.HasValue(context):
                 return self._model.true_drift(x, self._parameters(context))
-            error = self._unflattened(self._model_error.Eval(context), -1)
+            error = self._unflattened(self._model_error.Eval(context))
             return self._model.drift(x) + error
 
-        def _unflattened(self, values: Array, *shape: int) -> Array:
-            return unflattened(values, (*self._lead, *shape), trials=bool(self._lead))
+        def _unflattened(self, values: Array) -> Array:
+            return unflattened(values, (*self._lead, -1), trials=bool(self._lead))
 
         def _parameters(self, context: Any) -> dict[str, Any]:
             if not self._defaults:

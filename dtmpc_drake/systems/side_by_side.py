@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.numerics.arrays import Array
 
 
@@ -19,3 +20,18 @@ def unflattened(values: Array, shape: tuple[int, ...], *, trials: bool) -> Array
     """
     array = values.reshape(shape)
     return np.asfortranarray(array) if trials else array
+
+
+def unpacked(
+    values: Array, chains: Chains, lead: tuple[int, ...], *, trials: bool
+) -> Array:
+    """A state port's numbers as states, ``(*lead, n, m)``; see `unflattened`.
+
+    Args:
+        values: from a port or a state, as `Chains.pack` makes them.
+        chains: the orders of the outputs.
+        lead: the shape of what is side by side.
+        trials: as for `unflattened`.
+    """
+    state = chains.unpack(values.reshape(*lead, chains.size))
+    return np.asfortranarray(state) if trials else state

@@ -13,7 +13,7 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.systems.plan_port import DeclarePlanInputPort, EvalPlan
-from dtmpc_drake.systems.side_by_side import unflattened
+from dtmpc_drake.systems.side_by_side import unpacked
 from dtmpc_drake.systems.wiring import AddConnected
 
 
@@ -42,9 +42,10 @@ def _tracker_of(T: Any) -> Any:
             - control
             - reference
 
-        `state` is the flattened ``(n, m)`` state, `plan` an abstract port that
-        holds a `Plan`.  `control` is u, ``(m,)``; `reference` is the flattened
-        ``(n + 1, m)`` array of y* and its derivatives at the Context's time.
+        `state` is the flattened ``(n, m)`` state as the plant gives it, `plan` an
+        abstract port that holds a `Plan`.  `control` is u, ``(m,)``; `reference` is
+        the flattened ``(n + 1, m)`` array of y* and its derivatives at the Context's
+        time, the last row y_i*^(n_i) (see `Plan.reference`).
         With `trials`, as many plants track the same plan: `state` is
         ``(trials, n, m)`` and `control` is ``(trials, m)``, both flattened.
 
@@ -71,11 +72,12 @@ def _tracker_of(T: Any) -> Any:
             self._law = scenario.sliding_law()
             n, m = self._law.order, self._law.num_outputs
             self._trials = trials
-            self._shape = (n, m) if trials is None else (trials, n, m)
-            size = math.prod(self._shape)
+            self._lead = () if trials is None else (trials,)
+            count = math.prod(self._lead)
+            size = count * self._law.chains.size
             self._state = self.DeclareVectorInputPort("state", size)
             self._plan = DeclarePlanInputPort(self)
-            self.DeclareVectorOutputPort("control", size // n, self._calc_control)
+            self.DeclareVectorOutputPort("control", count * m, self._calc_control)
             self.DeclareVectorOutputPort(
                 "reference",
                 (n + 1) * m,
@@ -125,9 +127,14 @@ def _tracker_of(T: Any) -> Any:
         def _calc_control(self, context: Any, output: Any) -> None:
             plan, time = EvalPlan(self._plan, context), _plain(context.get_time())
             layer, layer_rate = plan.layer(time)
-            state = self._state.Eval(context)
+            state = unpacked(
+                self._state.Eval(context),
+                self._law.chains,
+                self._lead,
+                trials=bool(self._lead),
+            )
             control = self._law.control(
-                state=unflattened(state, self._shape, trials=self._trials is not None),
+                state=state,
                 reference=plan.reference(time),
                 layer=layer,
                 layer_rate=layer_rate,

@@ -12,13 +12,15 @@ from pydrake.systems.framework import (
     OutputPort,
 )
 
+from dtmpc_drake.limits import flown
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.method.sliding import sliding_variable
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.records import verdict
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.systems.plan_port import DeclarePlanInputPort, EvalPlan
-from dtmpc_drake.systems.side_by_side import unflattened
+from dtmpc_drake.systems.side_by_side import unflattened, unpacked
 from dtmpc_drake.systems.wiring import AddConnected
 
 _WIDENING = 1e-6
@@ -33,8 +35,8 @@ def tube_ratios(
 ) -> Array:
     """|s|/Φ, |ỹ|/Ω and |dỹ/dt|/W: at most one inside the tube.
 
-    Without a velocity tube (n = 1: the velocity is no state) the last row
-    repeats the second.
+    Without a velocity tube (outputs of order 1, whose velocity is no state) the last
+    row repeats the second.
 
     Args:
         plan: gives the reference and the bounds.
@@ -48,15 +50,19 @@ def tube_ratios(
     error = state - plan.reference(time)[..., :-1, :]
     bound = plan.error_bound(time)
     velocity = min(1, plan.order - 1)
+    s = sliding_variable(error, slope, plan.chains)
     ratios = np.empty((*error.shape[:-2], 3, error.shape[-1]))
     for k, (used, allowed) in enumerate(
         (
-            (sliding_variable(error, slope), plan.boundary_layer(time)),
+            (s, plan.boundary_layer(time)),
             (error[..., 0, :], bound[..., 0, :]),
             (error[..., velocity, :], bound[..., velocity, :]),
         )
     ):
         ratios[..., k, :] = np.abs(used) / (allowed + _WIDENING)
+    if not plan.chains.are_alike:
+        still = plan.chains.each == 1
+        ratios[..., 2, still] = ratios[..., 1, still]
     return ratios
 
 
@@ -92,8 +98,8 @@ class TubeMonitor(LeafSystem):
     The record is state, which every step of the simulator begins by updating,
     after a new plan has come into force.  Its output has the present instant in
     it, too, and so the last one of a simulation.  What happens between two steps,
-    or within the stages of one, is not seen.  Where the velocity is no state
-    (n = 1), the speed is that from one step to the next.
+    or within the stages of one, is not seen.  Where the velocity is no state (outputs
+    of order 1), the speed is that from one step to the next.
     """
 
     def __init__(self, *, scenario: Scenario, trials: int | None = None) -> None:
@@ -104,9 +110,11 @@ class TubeMonitor(LeafSystem):
             trials: how many plants; one, without the axis, if left out.
         """
         LeafSystem.__init__(self)
-        n, m = scenario.model.order, scenario.model.num_outputs
+        self._chains = Chains.of(scenario.model)
+        n, m = self._chains.order, self._chains.num_outputs
         count = 1 if trials is None else trials
         self._shape = (count, n, m)
+        self._still = self._chains.each == 1
         self._slope = scenario.slope()
         self._obstacles = scenario.obstacle_set()
         self._largest = verdict.largest_kept(scenario.limits)
@@ -116,7 +124,7 @@ class TubeMonitor(LeafSystem):
         self._slower = limits.fastest - np.array(
             [limits.speed_along(i) for i in range(m)]
         )
-        self._state = self.DeclareVectorInputPort("state", count * n * m)
+        self._state = self.DeclareVectorInputPort("state", count * self._chains.size)
         self._plan = DeclarePlanInputPort(self)
         self._control = self.DeclareVectorInputPort("control", count * m)
         seen = {self._state.ticket(), self._plan.ticket(), self.time_ticket()}
@@ -141,7 +149,7 @@ class TubeMonitor(LeafSystem):
         )
         empty = verdict.empty_record((count,))
         self._record_state = self.DeclareDiscreteState(empty.ravel())
-        if n == 1:  # where each plant was, and when
+        if self._still.any():  # where each plant was, and when
             self._last_state = self.DeclareDiscreteState(np.full(count * m + 1, np.nan))
         self._record = self.DeclareVectorOutputPort(
             "record",
@@ -182,13 +190,13 @@ class TubeMonitor(LeafSystem):
         ratios = tube_ratios(
             plan=EvalPlan(self._plan, context),
             time=context.get_time(),
-            state=unflattened(self._state.Eval(context), self._shape, trials=True),
+            state=self._states(context),
             slope=self._slope,
         )
         output.SetFromVector(ratios.ravel())
 
     def _calc_clearance(self, context: Any, output: Any) -> None:
-        position = self._state.Eval(context).reshape(self._shape)[:, 0]
+        position = self._chains.unpack(self._flat_states(context))[:, 0]
         clearance = self._obstacles.clearance(position)
         if not len(self._obstacles):
             clearance = np.full((len(position), 1), np.inf)
@@ -217,8 +225,9 @@ class TubeMonitor(LeafSystem):
         if news:
             record = discrete.get_mutable_vector(self._record_state)
             record.SetFromVector(after.ravel())
-        if self._shape[1] == 1 and not self._elapsed(context) < _SHORTEST:
-            now = np.append(self._state.Eval(context), context.get_time())
+        if self._still.any() and not self._elapsed(context) < _SHORTEST:
+            position = self._chains.unpack(self._flat_states(context))[:, 0]
+            now = np.append(position, context.get_time())
             discrete.get_mutable_vector(self._last_state).SetFromVector(now)
             news = True
         return EventStatus.Succeeded() if news else EventStatus.DidNothing()
@@ -254,11 +263,20 @@ class TubeMonitor(LeafSystem):
         Each has its places along the last axis.
         """
         count, _, m = self._shape
-        state = self._state.Eval(context).reshape(self._shape)
+        state = self._chains.unpack(self._flat_states(context))
         ratios = self._tube_ratios.Eval(context).reshape(count, 3, m)
         depth = -self._clearance.Eval(context).reshape(count, -1)
         missing = self._missing(state, context)
         return ratios, depth, self._speed(context, state), missing
+
+    def _flat_states(self, context: Any) -> Array:
+        """The state port's numbers, ``(count, size)``."""
+        return self._state.Eval(context).reshape(self._shape[0], -1)
+
+    def _states(self, context: Any) -> Array:
+        """X of every plant, ``(count, n, m)``, as many trials lie in memory."""
+        values, lead = self._state.Eval(context), self._shape[:1]
+        return unpacked(values, self._chains, lead, trials=True)
 
     def _controls(self, context: Any) -> Array:
         """U of every plant, ``(count, m)``."""
@@ -269,21 +287,24 @@ class TubeMonitor(LeafSystem):
         """What is missing of each of the other limits, ``(count, at least 1)``."""
         missing = np.full((len(state), max(len(self._other_limits), 1)), -np.inf)
         for i, limit in enumerate(self._other_limits):
-            left = limit.flown(state, self._controls(context))
+            left = flown(limit, self._chains, state, self._controls(context))
             if left is not None:
                 missing[:, i] = -left.min(axis=-1)
         return missing
 
     def _speed(self, context: Any, state: Array) -> Array:
         """|dy/dt| as the verdict wants it; minus infinity where it is not known yet."""
-        if self._shape[1] > 1:
+        if not self._still.any():
             return np.abs(state[:, 1]) + self._slower
         elapsed = self._elapsed(context)
-        if not elapsed >= _SHORTEST:
-            return np.full_like(state[:, 0], -np.inf)
-        before = context.get_discrete_state(self._last_state).value()[:-1]
-        moved = np.abs(state[:, 0] - before.reshape(state[:, 0].shape))
-        return moved / elapsed + self._slower
+        moving = np.full_like(state[:, 0], -np.inf)
+        if elapsed >= _SHORTEST:
+            before = context.get_discrete_state(self._last_state).value()[:-1]
+            moved = np.abs(state[:, 0] - before.reshape(state[:, 0].shape))
+            moving = moved / elapsed + self._slower
+        if self._shape[1] == 1:
+            return moving
+        return np.where(self._still, moving, np.abs(state[:, 1]) + self._slower)
 
     def _elapsed(self, context: Any) -> float:
         """Since the position that was kept, in s; NaN if there is none."""

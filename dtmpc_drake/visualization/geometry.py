@@ -6,6 +6,8 @@ planar vehicle moves in the plane z = 0 and a single output along y.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -49,19 +51,24 @@ def position_bounds(limit: PositionLimit | None, num_outputs: int) -> FloatArray
     return limit.both()
 
 
-def near_bounds(bounds: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+def near_bounds(
+    bounds: FloatArray, low: FloatArray, high: FloatArray, units: Sequence[str] = ()
+) -> FloatArray:
     """Those bounds that are near enough to a box to be in a picture of it.
 
     Args:
         bounds: as from `position_bounds`, ``(m, 2)``.
         low: one corner of the box, ``(m,)``.
         high: the opposite corner.
+        units: of the axes, if they differ: each is measured by those of its unit.
 
     Returns:
         The same, ``(m, 2)``; infinite where they are further away.
     """
+    alike = np.equal.outer(units, units) if units else np.ones(2 * low.shape, bool)
+    longest = np.where(alike, high - low, 0.0).max(axis=1)
     away = np.stack([low, -high], axis=1) - bounds * [1.0, -1.0]
-    near = away < _NEAR_BOUND * float((high - low).max())
+    near = away < _NEAR_BOUND * longest[:, None]
     return np.where(near, bounds, [-np.inf, np.inf])
 
 

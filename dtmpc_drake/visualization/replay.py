@@ -303,7 +303,7 @@ def _record_motion(
     flat = FLAT * Scale.of(plan).tube
     E = embedding(plan.num_outputs)
     flown = _interpolate(now, flight.time, flight.position) @ E.T
-    reference = plan.reference(now) @ E.T
+    reference = plan.derivatives(now) @ E.T
     half_axes = plan.position_tube(now) @ E.T + flat * missing_axes(plan.num_outputs)
     attitude, chase = _attitudes(reference, gravity), travel_frames(reference[:, 1])
     for k, t in enumerate(frames):

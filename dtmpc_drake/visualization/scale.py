@@ -12,7 +12,7 @@ import dataclasses
 import numpy as np
 
 from dtmpc_drake.records.plan import Plan
-from dtmpc_drake.visualization.geometry import tube_box
+from dtmpc_drake.visualization.geometry import embedding, tube_box
 
 _FIELD, _FIELDS = 20.0, (2.5, 100.0)  # usual length, and what is near enough
 _TIME, _TIMES = 30.0, (1.0, 100.0)  # the same of durations, in s
@@ -37,10 +37,11 @@ class Scale:
     @classmethod
     def of(cls, plan: Plan) -> Scale:
         """The scale of a plan's picture."""
-        low, high = tube_box(plan)
+        E = embedding(plan.num_outputs)
+        low, high = (E @ corner for corner in tube_box(plan))
         field = _nice(float((high - low).max()), _FIELD, _FIELDS)
-        half = float(np.median(plan.position_tube(plan.sample_times())))
-        thin = half / (_TUBE * field)
+        half = plan.position_tube(plan.sample_times())[:, : np.count_nonzero(E)]
+        thin = float(np.median(half)) / (_TUBE * field)
         tube = field * float(10.0 ** np.ceil(np.log10(thin))) if 0 < thin < 1 else field
         duration = plan.end_time - plan.start_time
         return cls(field, tube, _nice(duration, _TIME, _TIMES))

@@ -136,8 +136,9 @@ def field_corners(scenario: Scenario, plan: Plan) -> tuple[FloatArray, FloatArra
 
 def shown_fences(scenario: Scenario, plan: Plan) -> FloatArray:
     """Bounds of the position near a plan, ``(3, 2)``; infinite where there are none."""
-    m = plan.num_outputs
-    near = near_bounds(position_bounds(scenario.limits.position, m), *tube_box(plan))
+    m, units = plan.num_outputs, scenario.model.output_units
+    bounds = position_bounds(scenario.limits.position, m)
+    near = near_bounds(bounds, *tube_box(plan), units)
     axis, output = np.nonzero(embedding(m))
     fences = np.tile([-np.inf, np.inf], (3, 1))
     fences[axis] = near[output]
@@ -342,7 +343,7 @@ def _add_tube(
     scale: Scale,
 ) -> None:
     time = _ring_times(plan)
-    reference = plan.reference(time) @ embedding(plan.num_outputs).T
+    reference = plan.derivatives(time) @ embedding(plan.num_outputs).T
     half_axes = plan.position_tube(time) @ embedding(plan.num_outputs).T
     half_axes = half_axes + FLAT * scale.tube * missing_axes(plan.num_outputs)
     if path.startswith(AFAR):

@@ -123,7 +123,7 @@ class Coloring:
     def _values(plan: Plan, time: FloatArray, color_by: ColorBy) -> FloatArray:
         if color_by == "bandwidth":
             return plan.bandwidth(time).max(axis=-1)
-        return np.linalg.norm(plan.reference(time)[:, 1], axis=-1)
+        return np.linalg.norm(plan.derivatives(time)[:, 1], axis=-1)
 
     def rgb(self, values: FloatArray) -> FloatArray:
         """Colours of the values, shape ``(..., 3)``, in [0, 1]."""

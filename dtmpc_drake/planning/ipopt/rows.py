@@ -205,9 +205,8 @@ class Collocation(NlpRows):
         # From these to x*, α and the tube's states at both ends and in the middle.
         self._points = np.zeros((3, self._state + S, width))
         for points, t in zip(self._points, (0.0, 0.5, 1.0), strict=True):
-            for k in range(n):
-                basis = splines.basis(tr.degree, k, np.array([t]), tr.step)
-                points[k * m : (k + 1) * m, :c] = np.kron(basis, np.eye(m))
+            (basis,) = tr.splines.values(np.array([t]))
+            points[: n * m, :c] = splines.over_axes(basis[:n], m)
             ends = np.array([[1 - t, t]])
             points[n * m : self._state, c : c + 2 * m] = np.kron(ends, np.eye(m))
             points[self._state :, c + 2 * m :] = np.kron(ends, np.eye(S))
@@ -329,7 +328,8 @@ class AtControlPoints(NlpRows):
         )
         m = tr.outputs
         self._split = basis.shape[1] * m
-        self._value = np.stack([np.kron(row, np.eye(m)) for row in basis])[control]
+        self._value = np.stack([splines.over_axes(row[None], m) for row in basis])
+        self._value = self._value[control]
         later = (control / (len(basis) - 1))[:, None, None]
         bound = layout.bounds[self._limit.derivative]
         self._spread = np.concatenate([(1 - later) * bound, later * bound], axis=2)
@@ -406,7 +406,8 @@ class Separation(NlpRows):
         """Control points, those of the tube, and the normals' turning."""
         coefficients, states, t = np.split(z[self._columns], self._split, axis=1)
         windows = coefficients.reshape(len(t), -1, self._tube.shape[1])
-        return self._position @ windows, self._cubic(states) + self._above, t
+        position = splines.applied(self._position, windows)
+        return position, self._cubic(states) + self._above, t
 
     def values(self, z: Array) -> Array:
         """See base class; one for every control point, in m."""
@@ -415,7 +416,7 @@ class Separation(NlpRows):
     def slopes(self, z: Array) -> Array:
         """See base class."""
         by_position, by_tube, turn = self._turning.slopes(*self._evaluate(z))
-        position = np.einsum("cq,pj->pcqj", self._position, by_position)
+        position = self._position * by_position[:, None, None]
         states = np.einsum("pcj,cjs->pcs", by_tube, self._tube)
         P, c = turn.shape[:2]
         slopes = np.concatenate([position.reshape(P, c, -1), states, turn], axis=2)

@@ -165,7 +165,8 @@ class _Program:
         index = np.arange(self.layout.size)
         self._add_box(index[blocks["bandwidth"]], low.ravel(), high.ravel())
         first = index[blocks["states"]][: self.layout.num_states * m]
-        for columns in (first, index[blocks["slack"]]):
+        unused = tr.splines.unused(tr.intervals)
+        for columns in (first, index[blocks["slack"]], unused):
             self._add_box(columns, self._exact[columns], self._exact[columns])
         if p.start_highest is not None:
             columns = index[blocks["highest"]][:m]
@@ -177,9 +178,9 @@ class _Program:
         ends = [(0, k, p.start[k]) for k in range(tr.order)]
         ends += [(-1, k, p.goal[k]) for k in p.goal_rows]
         for knot, k, wanted in ends:
-            rows = layout.local_matrix[k * m : (k + 1) * m]
-            for row, value in zip(rows, wanted, strict=True):
-                self._add_row(layout.knot_columns[knot], row, value, value)
+            for i in np.flatnonzero(tr.chains.exists[k]):
+                row = layout.local_matrix[k * m + i]
+                self._add_row(layout.knot_columns[knot], row, wanted[i], wanted[i])
 
     def _add_reference(self) -> None:
         """y*^(n) at the knots is what the coefficients say."""
@@ -219,18 +220,18 @@ class _Program:
     def _add_convex(self) -> None:
         """Where they come near; later rounds see where else."""
         tr, law = self.transcription, self.transcription.problem.law
-        n, near = tr.order, tr.near_convex(self._guess)
+        near = tr.near_convex(self._guess)
         for number, limit in enumerate(tr.problem.convex):
             margin = self._guess.convex[number]
-            if limit.derivative < n:
+            if limit.derivative not in tr.chains.orders:
                 self._add_convex_rows(number, near[number])
                 continue
 
             def used(local: Local, limit: ConvexLimit = limit) -> Array:
                 return -limit.margins(law, local.instant)
 
-            # y*^(n) at the knots, and a bound that is no state.
-            at_knots = np.concatenate([margin[:, 0], margin[-1:, 1]])
+            # y_i*^(n_i) at the knots, and a bound that is no state.
+            at_knots = _at_knots(margin)
             reach = tr.reach * tr.options.convex_reach * size_of(limit)
             close = np.flatnonzero((at_knots < reach).any(axis=1))
             self._add_limit(close, used, at_knots)
@@ -253,7 +254,7 @@ class _Program:
             [layout.coefficient_columns(first, count), layout.state_columns], axis=1
         )
         for piece, control, column in zip(*np.nonzero(near), strict=True):
-            own = np.kron(basis[control], normals[column])
+            own = (basis[control] * normals[column]).ravel()
             rate, later = wide[column], control / (len(basis) - 1)
             row = np.concatenate([own, (1 - later) * rate, later * rate])
             columns = reads[piece]
@@ -359,6 +360,22 @@ class _Program:
         """A block of z, ``(..., m)``."""
         block = z[self.layout.blocks[name]]
         return block.reshape(-1, self.transcription.outputs)
+
+
+def _at_knots(margin: Array) -> Array:
+    """Margins at control points as those of the knots that they are nearest to.
+
+    Args:
+        margin: ``(N, c, q)``; with c = 2 all of them are at knots.
+
+    Returns:
+        ``(N + 1, q)``.
+    """
+    half = (margin.shape[1] + 1) // 2
+    none = np.full_like(margin[:1, 0], np.inf)
+    after = np.concatenate([margin[:, :half].min(axis=1), none])
+    before = np.concatenate([none, margin[:, -half:].min(axis=1)])
+    return np.minimum(after, before)
 
 
 def _blocks(index: Array) -> list[Array]:

@@ -104,14 +104,14 @@ def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Ma
     margins |= problem.bandwidth.certify(enclosure)
     thinnest = enclosure.layer.derivatives[:, 0] - enclosure.layer.radius(0)
     thinnest = thinnest * units.of(n - 1)
-    model = problem.model
-    unit = model.derivative_unit(n - 1)
-    margins["boundary_layer"] = smallest(time, thinnest, unit, model.axes)
-    tolerance = np.full((n, 1), TUBE_TOLERANCE)
-    tolerance[-1] = TOP_TOLERANCE if n > 1 else TUBE_TOLERANCE
-    left = enclosure.claim_excess + tolerance
-    bounds = [f"bound {k} on {axis}" for k in range(n) for axis in model.axes]
-    margins["tube"] = smallest(time, left.reshape(len(time), -1), "", bounds)
+    chains, model = problem.law.chains, problem.model
+    unit, axes = model.derivative_unit(n - 1), model.axes
+    margins["boundary_layer"] = smallest(time, thinnest, unit, axes)
+    tolerance = np.full(chains.exists.shape, TUBE_TOLERANCE)
+    chains.set_top(tolerance, TOP_TOLERANCE if n > 1 else TUBE_TOLERANCE)
+    left = chains.pack(enclosure.claim_excess + tolerance)
+    bounds = [f"bound {k} on {axes[i]}" for k, i in np.argwhere(chains.exists)]
+    margins["tube"] = smallest(time, left, "", bounds)
     margins |= consistency_margins(plan, problem)
     for limit in problem.other_limits:
         for name, margin in limit.certify(enclosure).items():

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from dtmpc_drake.method.margin import Margin, smallest
-from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.numerics.arrays import Array, BoolArray
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.records.plan import Plan
 
@@ -31,11 +31,11 @@ def plan_faults(plan: Plan, problem: Problem) -> tuple[str, ...]:
     faults = tuple(plan.faults())
     if faults:
         return faults
-    n, m = problem.model.order, problem.model.num_outputs
-    if (plan.order, plan.num_outputs) != (n, m):
+    chains, m = problem.law.chains, problem.model.num_outputs
+    if plan.chains != chains:
         return (
-            f"coefficients: a plan of order {plan.order} with {plan.num_outputs}"
-            f" outputs, where the model has order {n} and {m} outputs",
+            f"coefficients: a plan of {plan.chains.words} with {plan.num_outputs}"
+            f" outputs, where the model has {chains.words} and {m} outputs",
         )
     if not plan.is_uniform:
         return ("knots: must be equally spaced, and tube_times within them",)
@@ -55,11 +55,14 @@ def consistency_margins(plan: Plan, problem: Problem) -> dict[str, Margin]:
         plan: without `plan_faults`.
         problem: that it should solve.
     """
-    n, axes, unit = plan.order, problem.model.axes, problem.units.time
+    n, m, unit = plan.order, plan.num_outputs, problem.units.time
+    exists, axes = plan.chains.exists, problem.model.axes
     margins: dict[str, Margin] = {}
     jumps = [
-        *_jumps(plan.coefficients, plan.knots, n, "y*", axes),
-        *_jumps(plan.layer_coefficients, plan.tube_times, 2, "Φ*", axes),
+        *_jumps(plan.coefficients, plan.knots, exists, "y*", axes),
+        *_jumps(
+            plan.layer_coefficients, plan.tube_times, np.full((2, m), True), "Φ*", axes
+        ),
     ]
     if jumps:
         worst = min(jumps, key=lambda margin: margin.value)
@@ -70,54 +73,57 @@ def consistency_margins(plan: Plan, problem: Problem) -> dict[str, Margin]:
     left = (allowed - np.abs(time - wanted))[:, None] * unit
     margins["time"] = smallest(time * unit, left, "s", ["of the plan"])
 
-    rows = [f"y*^({k}) on {axis}" for k in range(n) for axis in axes]
+    rows = [f"y*^({k}) on {axes[i]}" for k, i in np.argwhere(exists)]
     ends = plan.reference(time)[:, :n]
     missing = np.abs(ends - np.stack([problem.start, problem.goal]))
     missing[1, [k for k in range(n) if k not in problem.goal_rows]] = 0.0
-    left = END_TOLERANCE - missing.reshape(2, -1)
+    left = END_TOLERANCE - plan.chains.pack(missing)
     margins["ends"] = smallest(time * unit, left, "", rows)
 
     first = plan.reference(time[0])
     layer, layer_rate = plan.layer(time[0])
     implied = problem.law.implied_bandwidth(first[:n], layer, layer_rate)
-    asked = {
-        "Φ*": (layer, problem.tube_start.layer),
-        f"y*^({n})": (first[n], problem.start_highest),
-        "α": (implied, problem.start_bandwidth),
-    }
+    highest = [f"y*^({order})" for order in plan.chains.orders]
+    asked = (
+        (["Φ*"] * m, layer, problem.tube_start.layer),
+        (highest, first[n], problem.start_highest),
+        (["α"] * m, implied, problem.start_bandwidth),
+    )
     left, names = [], []
-    for name, (value, wish) in asked.items():
+    for each, value, wish in asked:
         if wish is not None:
             allowed = HAND_OVER_TOLERANCE * (1e-3 + np.abs(wish))
             left.append(allowed - np.abs(value - wish))
-            names += [f"{name} on {axis}" for axis in axes]
+            names += [f"{name} on {axes[i]}" for i, name in enumerate(each)]
     hand_over = np.concatenate(left)[None]
     margins["hand_over"] = smallest(time[:1] * unit, hand_over, "", names)
     return margins
 
 
 def _jumps(
-    powers: Array, grid: Array, count: int, name: str, axes: list[str]
+    powers: Array, grid: Array, continuous: BoolArray, name: str, axes: list[str]
 ) -> list[Margin]:
     """What is left of the tolerance at the inner points of a grid.
 
     Args:
         powers: of the time since a piece began, ``(pieces, p, m)``.
         grid: ``(pieces + 1,)``, in s.
-        count: derivatives that must be continuous, the function itself included.
+        continuous: which derivatives must be so, the function itself in the first
+            row, ``(count, m)``.
         name: of the function.
         axes: what the outputs are called.
     """
     margins = []
     length = np.diff(grid)[:-1, None, None]
     order = np.arange(powers.shape[1])
-    for k in range(count if len(powers) > 1 else 0):
+    for k in range(len(continuous) if len(powers) > 1 else 0):
         end = (powers[:-1] * length ** order[: powers.shape[1], None]).sum(axis=1)
         start = powers[1:, 0]
         size = max(1.0, float(np.abs(start).max()) / 100)
         left = JUMP_TOLERANCE * size - np.abs(end - start)
-        what = f"{name}^({k})" if k else name
-        labels = [f"{what} on {axis}" for axis in axes]
-        margins.append(smallest(grid[1:-1], left, "", labels))
+        label = f"{name}^({k})" if k else name
+        some = np.flatnonzero(continuous[k])
+        places = [f"{label} on {axes[i]}" for i in some]
+        margins.append(smallest(grid[1:-1], left[:, some], "", places))
         powers = powers[:, 1:] * np.arange(1, powers.shape[1])[:, None]
     return margins

@@ -14,8 +14,13 @@ import dataclasses
 
 import numpy as np
 
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.method.enclosure import THINNEST, Corridor, Enclosure
-from dtmpc_drake.method.tube import cascade_bound, comparison_forcing, propagate_cascade
+from dtmpc_drake.method.tube import (
+    cascade_bounds,
+    comparison_forcing,
+    propagate_cascade,
+)
 from dtmpc_drake.method.units import Units
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.filters import half_grid, integrate_filter
@@ -47,7 +52,8 @@ def enclose(
     Raises:
         ValueError: if the plan's grids are not uniform, one within the other.
     """
-    n, slope = problem.law.order, problem.law.slope
+    chains, slope = problem.law.chains, problem.law.slope
+    n = chains.order
     pieces = _Pieces.of(plan, longest)
     h, reference, hermite = pieces.step, pieces.reference(), pieces.hermite
     layer = pieces.layer()
@@ -66,37 +72,36 @@ def enclose(
         fastest = np.abs(rates[:-1, j]) + h * above
         second_rates.insert(0, slope * fastest + above)
     curvature = np.stack(second_rates, axis=1)
-    proven = [
-        _Arc(
-            cascade_bound(stages[:-1], slope, k),
-            cascade_bound(stages[1:], slope, k),
-            cascade_bound(curvature, slope, k),
-        )
-        for k in range(n)
-    ]
+    at_ends = cascade_bounds(chains, stages, slope)
+    curvature = cascade_bounds(chains, curvature, slope)
+    proven = _Arc(at_ends[:-1].copy(), at_ends[1:].copy(), curvature.copy())
     claimed = [
         hermite(plan.bound_samples[:, k], plan.bound_rate_samples[:, k])
         for k in range(n)
     ]
     if n > 1 and problem.velocity_bound == "comparison":
-        granted = claimed[-1].derivatives[:, 0] + claimed[-1].radius(0) + velocity_slack
-        bounds = [arc.highest(h) for arc in proven]
+        top = chains.top(
+            np.stack([c.derivatives[:, 0] + c.radius(0) for c in claimed], axis=1)
+        )
+        bounds = proven.highest(h)
+        chains.set_top(bounds, np.minimum(chains.top(bounds), top + velocity_slack))
         middles = half_grid(stages, rates, h)
-        proven[-1] = _velocity_tube(
-            problem=problem,
-            reference=reference,
-            layer=layer,
-            lower_bounds=np.stack(
-                [cascade_bound(middles, slope, k) for k in range(n - 1)], axis=1
-            ),
-            error_bound=np.stack(
-                [*bounds[:-1], np.minimum(bounds[-1], granted)], axis=1
+        proven.set_top(
+            chains,
+            _velocity_tube(
+                problem=problem,
+                reference=reference,
+                layer=layer,
+                lower_bounds=cascade_bounds(chains, middles, slope, n - 1),
+                error_bound=bounds,
             ),
         )
     excess = [
-        np.minimum(c.at_ends()[:-1] - a.start, c.at_ends()[1:] - a.end)
-        - h**2 / 8 * (a.curvature + c.largest(2))
-        for a, c in zip(proven, claimed, strict=True)
+        np.minimum(c.at_ends()[:-1] - start, c.at_ends()[1:] - end)
+        - h**2 / 8 * (curved + c.largest(2))
+        for c, start, end, curved in zip(
+            claimed, *(each.swapaxes(0, 1) for each in proven.parts), strict=True
+        )
     ]
     return Enclosure(
         law=problem.law,
@@ -104,15 +109,15 @@ def enclose(
             time=pieces.times(),
             parts=pieces.parts,
             reference=reference,
-            position_tube=stages[:, 0],
+            position_tube=at_ends[:, 0],
             position_curvature=curvature[:, 0],
             units=problem.units,
         ),
-        reference_radius=np.stack([reference.radius(k) for k in range(n)], axis=1),
+        reference_radius=_state_radius(problem, reference),
         layer=layer,
         bandwidth=pieces.bandwidth(),
-        error_bound=np.stack([arc.highest(h) for arc in proven], axis=1),
-        claim_excess=np.stack(excess, axis=1),
+        error_bound=proven.highest(h),
+        claim_excess=chains.existing(np.stack(excess, axis=1)),
     )
 
 
@@ -208,11 +213,24 @@ class _Pieces:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Arc:
-    """A function on every interval: its ends, and a bound of its second derivative."""
+    """Functions on every interval: their ends, and bounds of second derivatives.
+
+    Of all derivatives of the error, ``(K, n, m)`` each, or of one, ``(K, m)``.
+    """
 
     start: Array
     end: Array
     curvature: Array
+
+    @property
+    def parts(self) -> tuple[Array, Array, Array]:
+        """Start, end and curvature."""
+        return self.start, self.end, self.curvature
+
+    def set_top(self, chains: Chains, top: _Arc) -> None:
+        """Puts another bound in the place of that of each ``|ỹ^(n_i - 1)|``."""
+        for rows, values in zip(self.parts, top.parts, strict=True):
+            chains.set_top(rows, values)
 
     def highest(self, step: float) -> Array:
         """A bound all along the interval."""
@@ -235,17 +253,18 @@ def _velocity_tube(
     else is smooth and integrated as it is.
     """
     law, model, slope = problem.law, problem.model, problem.law.slope
-    n, step = model.order, 2 * layer.half
-    ends = np.stack([reference.at_ends(k) for k in range(n)], axis=1)
-    nominal = _chords(model.model_error_bound(ends))
+    chains, step = law.chains, 2 * layer.half
+    ends = [reference.at_ends(k) for k in range(chains.order)]
+    nominal = model.model_error_bound(chains.existing(np.stack(ends, axis=1)))
+    nominal = _chords(nominal)
     thickness = _interleave(layer.at_ends(), layer.derivatives[:, 0])
     thickness = np.maximum(thickness, THINNEST)
     rate = _interleave(layer.at_ends(1), layer.derivatives[:, 1])
     bandwidth = np.maximum(law.forcing_of(nominal) - rate, 0.0) / thickness
 
-    radius = np.stack([reference.radius(k) for k in range(n)], axis=1)
     largest = model.model_error_bound_over(
-        reference.derivatives[:, :n], error_bound + radius
+        chains.state_of(reference.derivatives),
+        error_bound + _state_radius(problem, reference),
     )
     both = np.maximum(largest[:-1], largest[1:])
     largest = _chords(np.concatenate([largest[:1], both, largest[-1:]]))
@@ -259,7 +278,7 @@ def _velocity_tube(
         )
 
     W, _ = integrate_filter(
-        bandwidth + (n - 1) * slope,
+        bandwidth + (chains.each - 1) * slope,
         forcing(bandwidth, lower_bounds, 2 * largest - nominal),
         problem.tube_start.highest,
         step,
@@ -268,7 +287,7 @@ def _velocity_tube(
     change = layer.radius(1) + np.abs(nominal[2::2] - nominal[:-2:2]) / 2
     gain = law.forcing_of(nominal[1::2]) - layer.derivatives[:, 1]
     low = np.maximum(gain - change, 0.0) / (layer.derivatives[:, 0] + layer.radius(0))
-    low = low + (n - 1) * slope
+    low = low + (chains.each - 1) * slope
     thin = np.maximum(layer.derivatives[:, 0] - layer.radius(0), THINNEST)
     worst = forcing(
         np.maximum(gain + change, 0.0) / thin,
@@ -279,6 +298,13 @@ def _velocity_tube(
     decay = np.exp(-low * step)
     after = decay * W[:-1] + (1 - decay) / low * worst
     return _Arc(W[:-1], np.maximum(after, W[1:]), low * np.abs(worst - low * W[:-1]))
+
+
+def _state_radius(problem: Problem, reference: Polynomial) -> Array:
+    """How far x* leaves its value at the middle, ``(K, n, m)``."""
+    chains = problem.law.chains
+    rows = [reference.radius(k) for k in range(chains.order)]
+    return chains.existing(np.stack(rows, axis=1))
 
 
 def _interleave(ends: Array, middles: Array) -> Array:

@@ -13,7 +13,6 @@ import time
 
 import numpy as np
 
-from dtmpc_drake.numerics import splines
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.planning.backend import (
     Backend,
@@ -211,7 +210,7 @@ class SequentialConvex(Backend):
                 multipliers=multipliers,
             )
             decisions = (
-                splines.refine(solution.iterate.coefficients, tr.degree),
+                tr.splines.refined(solution.iterate.coefficients),
                 _doubled(solution.iterate.bandwidth),
             )
         return solution

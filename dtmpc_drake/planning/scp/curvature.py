@@ -84,7 +84,11 @@ def sampled_curvature(
             continue
         hessian = hessian * price[nodes].sum(axis=1)[:, None, None]
         basis = tr.basis_at(nodes)[:, tr.order]
-        each = np.einsum("pc,pij,pd->pcidj", basis, hessian, basis, optimize=True)
+        if tr.chains.are_alike:
+            basis = basis[..., 0]
+            each = np.einsum("pc,pij,pd->pcidj", basis, hessian, basis, optimize=True)
+        else:
+            each = np.einsum("pci,pij,pdj->pcidj", basis, hessian, basis)
         np.add.at(result, nodes // tr.tube_steps, each.reshape(-1, width, width))
     return result
 

@@ -135,7 +135,11 @@ class SampledRows(Block):
         )
         nodes = self.nodes[each]
         rows = np.concatenate([slope.state, slope.highest[:, None]], axis=1)
-        coefficients = np.einsum("pkc,pkm->pcm", tr.basis_at(nodes), rows)
+        basis = tr.basis_at(nodes)
+        if tr.chains.are_alike:
+            coefficients = np.einsum("pkc,pkm->pcm", basis[..., 0], rows)
+        else:
+            coefficients = np.einsum("pkcm,pkm->pcm", basis, rows)
         states = np.einsum("pkm,kms->ps", slope.error_bound, np.stack(v.bounds))
         states[:, (n - 1) * m : n * m] += slope.layer
         piece, later = tr.within(nodes)
@@ -217,7 +221,7 @@ class ConvexRows(Block):
         )
         rate = _deviation_rows(tr, v, iterate, limit.derivative, secant)
         reads = np.concatenate([v.knot_columns, v.move_columns], axis=1)
-        own = basis[control][:, :, None] * by_value[:, None]
+        own = basis[control] * by_value[:, None]
         weight = (control / (basis.shape[0] - 1))[:, None]
         wide = by_spread[:, None]
         before, after = (wide @ rate[piece])[:, 0], (wide @ rate[piece + 1])[:, 0]
@@ -256,9 +260,9 @@ class PlaneRows(Block):
     ) -> None:
         tr, v = transcription, variables
         self.backoff, self.margin = tr.options.backoff, planes.margin.ravel()
-        controls, count = tr.position_basis.shape
+        controls, count, _ = tr.position_basis.shape
         P, m = len(planes), tr.outputs
-        position = np.einsum("cq,pj->pcqj", tr.position_basis, planes.by_position())
+        position = tr.position_basis * planes.by_position()[:, None, None]
         tube = np.einsum("pcj,cjs->pcs", planes.by_tube, v.tube_matrix)
         # Turning the normal along its tangents, for as many planes as have room.
         turn = np.zeros((P, controls, v.tangents))
@@ -296,7 +300,7 @@ def _deviation_rows(
     """
     n, m, K = tr.order, tr.outputs, tr.intervals + 1
     width, moves = v.local_matrix.shape[1], len(v.kinked)
-    if derivative < n:
+    if derivative not in tr.chains.orders:
         rows = np.zeros((m, width + moves))
         rows[:, width - v.num_states * m : width] = v.bounds[derivative]
         return np.broadcast_to(rows, (K, *rows.shape))

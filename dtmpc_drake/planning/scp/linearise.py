@@ -135,20 +135,25 @@ class Program:
         """Both end states."""
         tr, v, p = self.transcription, self.variables, self.transcription.problem
         n, m, local = tr.order, tr.outputs, iterate.local
-        layer = slice((n + 1) * m, (n + 2) * m)
-        wanted = [(0, slice(0, n * m), (p.start - local.state[0]).ravel())]
+        layer = (n + 1) * m + np.arange(m)
+        exists = np.flatnonzero(tr.chains.exists)
+        wanted = [(0, exists, (p.start - local.state[0]).ravel()[exists])]
         for k in p.goal_rows:
             missing = p.goal[k] - local.state[-1, k]
-            wanted.append((-1, slice(k * m, (k + 1) * m), missing))
+            some = np.flatnonzero(tr.chains.exists[k])
+            wanted.append((-1, k * m + some, missing[some]))
         if p.start_highest is not None:
-            highest = slice(n * m, (n + 1) * m)
+            highest = n * m + np.arange(m)
             wanted.append((0, highest, p.start_highest - local.highest[0]))
         if p.start_bandwidth is not None:
-            wanted.append((0, slice(layer.stop, layer.stop + m), np.zeros(m)))
+            wanted.append((0, layer + m, np.zeros(m)))
         for knot, part, value in wanted:
             matrix = v.local_matrix[part]
             columns = np.broadcast_to(v.knot_columns[knot], matrix.shape)
             equations.equate(matrix, columns, value)
+        unused = tr.splines.unused(tr.intervals)[:, None]
+        if len(unused):
+            equations.equate(np.ones(unused.shape), unused, 0.0)
 
     def _add_tube(self, rows: Rows, equations: Rows, sensitivity: Array) -> None:
         """The tube follows the decisions, as far as the rows so far look at it.

@@ -13,7 +13,6 @@ import numpy as np
 
 from dtmpc_drake.method.tube import filter_rates
 from dtmpc_drake.models import IntegratorChain
-from dtmpc_drake.numerics import splines
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.differences import Differences, differences
 from dtmpc_drake.planning.iterate import Iterate
@@ -87,12 +86,12 @@ def transitions(
     # More forcing only makes the tube larger, so the kink may be left to be chosen.
     second = kinks(error.second[index][..., kinked], secant)
     # Columns of the input: α interpolated, the state through its spline.
-    basis = np.stack(
-        [splines.basis(tr.degree, k, local_time, tr.step) for k in range(n)]
-    )
-    by_coefficient = np.einsum(
-        "jtskm,ktc->jtscm", by_state.reshape(N, points + 1, S * m, n, m), basis
-    )
+    basis = tr.splines.values(local_time)[:, :n].swapaxes(0, 1)
+    by_state = by_state.reshape(N, points + 1, S * m, n, m)
+    if tr.chains.are_alike:
+        by_coefficient = np.einsum("jtskm,ktc->jtscm", by_state, basis[..., 0])
+    else:
+        by_coefficient = np.einsum("jtskm,ktcm->jtscm", by_state, basis)
     inputs = np.concatenate(
         [
             by_alpha * (1 - weight),
@@ -173,8 +172,8 @@ def _axis_by_axis(p: Problem, alpha: Array, states: Array) -> tuple[Array, Array
         ``(count, m, S, S)``.
     """
     _, S, m = states.shape
-    n = p.model.order
-    nothing = IntegratorChain(num_outputs=m, order=n, error_bound=0.0)
+    n, chains = p.law.order, p.law.chains
+    nothing = IntegratorChain(orders=list(chains.orders), error_bound=0.0)
     unit = np.concatenate([np.zeros((1, S, m)), np.eye(S)[..., None].repeat(m, 2)])
     rates = filter_rates(
         dataclasses.replace(p.law, model=nothing),

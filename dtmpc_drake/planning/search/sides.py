@@ -141,7 +141,7 @@ def nominal_tube(problem: Problem) -> Array:
     """Ω at rest with the highest bandwidth and a model without error, ``(m,)``."""
     forcing = problem.law.forcing_of(0.0)
     layer = forcing / problem.bandwidth.high
-    return layer / problem.law.slope ** (problem.law.order - 1)
+    return layer / problem.law.slope ** (problem.law.chains.each - 1)
 
 
 def on_the_way(obstacles: ObstacleSet, frame: Frame, tube: Array) -> list[Section]:
@@ -167,8 +167,10 @@ def propose(problem: Problem, count: int) -> list[Way]:
         Ways that are clear of every obstacle, without a tube around them.  Where
         there is nothing to choose, the straight line alone, if it is clear.
     """
-    start, goal = problem.start[0], problem.goal[0]
-    obstacles, tube = problem.obstacles, nominal_tube(problem)
+    place = slice(problem.model.num_positions)
+    start, goal = problem.start[0, place], problem.goal[0, place]
+    obstacles = problem.obstacles.in_place(place)
+    tube = nominal_tube(problem)[place]
     frame = Frame.of(start, goal, obstacles)
     cuts = on_the_way(obstacles, frame, tube) if frame is not None else []
     if frame is None or not cuts:
@@ -186,10 +188,19 @@ def propose(problem: Problem, count: int) -> list[Way]:
             way = Way.along(sides, points)
             clear = (obstacles.clearance(way.points) >= 0).all()
             if clear and way.length <= longest and sides_of(problem, way) == sides:
-                found.append(way)
+                found.append(_whole(way, problem))
         if len(found) >= count:
             break
     return sorted(found, key=lambda way: (way.length, way.sides))[:count]
+
+
+def _whole(way: Way, problem: Problem) -> Way:
+    """A way in the space of obstacles with all other outputs, which go straight."""
+    first = way.points.shape[1]
+    start, goal = problem.start[0, first:], problem.goal[0, first:]
+    share = np.linspace(0, 1, len(way.points))[:, None]
+    points = np.concatenate([way.points, start + share * (goal - start)], axis=1)
+    return dataclasses.replace(way, points=points)
 
 
 def sides_of(problem: Problem, way: Way) -> str:
@@ -206,11 +217,13 @@ def sides_of(problem: Problem, way: Way) -> str:
         One letter per obstacle; see `Way`.
     """
     letters = [side if side in (ABOVE, BELOW) else NEITHER for side in way.sides]
-    frame = Frame.of(problem.start[0], problem.goal[0], problem.obstacles)
+    place = slice(problem.model.num_positions)
+    obstacles = problem.obstacles.in_place(place)
+    frame = Frame.of(problem.start[0, place], problem.goal[0, place], obstacles)
     if frame is None:
         return "".join(letters)
-    path = frame.project(way.points)
-    for cut in on_the_way(problem.obstacles, frame, nominal_tube(problem)):
+    path = frame.project(way.points[:, place])
+    for cut in on_the_way(obstacles, frame, nominal_tube(problem)[place]):
         if letters[cut.obstacle] == NEITHER:
             ray = path - cut.center
             turned = np.unwrap(np.arctan2(ray[:, 1], ray[:, 0]))

@@ -13,7 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from dtmpc_drake.checks import derivative_unit
 from dtmpc_drake.limits import ConvexLimit, Limit
+from dtmpc_drake.limits import flown as left_in_flight
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.method.sliding import sliding_variable
 from dtmpc_drake.method.tightening import (
     Instant,
@@ -83,16 +86,18 @@ def plot_histories(
         rows.remove("sliding")  # s is the error itself
     if limits.inputs is None:
         rows.remove("inputs")
-    alike = {"error", "sliding", "bandwidth", "inputs"}
-    if not isinstance(limits.speed, list):
-        alike.add("speed")
+    alike, units = {"bandwidth"}, model.output_units
+    if len(set(units)) == 1 and plan.chains.are_alike:
+        alike |= {"error", "sliding", "inputs"}
+        alike |= set() if isinstance(limits.speed, list) else {"speed"}
     others = _others(scenario)
     figure, panels, bottoms = _panels(rows, alike, m, 1 + len(others))
     bottom = bottoms[0]
-    near = near_bounds(position_bounds(limits.position, m), *planned.box)
+    near = near_bounds(position_bounds(limits.position, m), *planned.box, units)
     for i in range(m):
         column = {name: panels[name, i] for name in rows}
         title = f"along {model.output_names[i]}" if m > 1 else ""
+        title += f" ({units[i]})" if len(set(units)) > 1 else ""
         column["position"].set_title(title, fontsize=10)
         _draw_planned_position(planned, near[i], column["position"], i)
         _draw_planned(scenario, planned, column, i)
@@ -100,7 +105,8 @@ def plot_histories(
             column["inputs"].set_title(model.input_names[i], fontsize=9, loc="left")
         if flight is not None:
             error = flight.state - plan.reference(flight.time)[:, :n]
-            _draw_flown(flight, error, scenario.slope(), column, i)
+            s = sliding_variable(error, scenario.slope(), plan.chains)[:, i]
+            _draw_flown(flight, error, s, column, i, plan.chains.orders[i])
         column["speed"].set_ylim(bottom=0.0)
     _draw_planned_input(scenario, planned, bottom)
     if flight is not None:
@@ -139,11 +145,15 @@ def plot_histories(
 def _labels(model: Model) -> dict[str, str]:
     """Of the rows, with their units."""
     n, unit = model.order, model.derivative_unit
+    orders = Chains.of(model).orders
+    sliding = dict.fromkeys(
+        map(derivative_unit, model.output_units, np.array(orders) - 1)
+    )
     error = "error ỹ = s" if n == 1 else "error ỹ"
     return {
         "position": f"position y\n({unit(0)})",
         "error": f"tracking\n{error} ({unit(0)})",
-        "sliding": f"sliding\nvariable s ({unit(n - 1)})",
+        "sliding": f"sliding\nvariable s ({' or '.join(sliding)})",
         "bandwidth": "bandwidth α\n(rad/s)",
         "speed": f"speed |ẏ|\n({unit(1)})",
         "inputs": f"each input u\n({model.input_unit})",
@@ -170,7 +180,8 @@ class _Planned:
 
     Attributes:
         time: ``(K,)``, in s.
-        reference: y* and its derivatives, ``(K, n + 1, m)``.
+        position: y*, ``(K, m)``.
+        velocity: dy*/dt, ``(K, m)``.
         bandwidth: α, ``(K, m)``.
         error_bound: R_k, ``(K, n, m)``.
         boundary_layer: Φ, ``(K, m)``.
@@ -183,7 +194,8 @@ class _Planned:
     """
 
     time: FloatArray
-    reference: FloatArray
+    position: FloatArray
+    velocity: FloatArray
     bandwidth: FloatArray
     error_bound: FloatArray
     boundary_layer: FloatArray
@@ -204,7 +216,8 @@ class _Planned:
         at = Instant(state, highest, law.gain(state, layer_rate), error_bound)
         return cls(
             time=time,
-            reference=reference,
+            position=reference[:, 0],
+            velocity=plan.derivatives(time)[:, 1],
             bandwidth=plan.bandwidth(time),
             error_bound=error_bound,
             boundary_layer=layer,
@@ -218,7 +231,7 @@ class _Planned:
     @property
     def box(self) -> tuple[FloatArray, FloatArray]:
         """Two corners of a box that holds the tube, ``(m,)`` each."""
-        center, half = self.reference[:, 0], self.error_bound[:, 0]
+        center, half = self.position, self.error_bound[:, 0]
         return (center - half).min(axis=0), (center + half).max(axis=0)
 
 
@@ -268,7 +281,7 @@ def _draw_planned_position(
         i: the output.
     """
     time, half = planned.time, planned.error_bound[:, 0, i]
-    center = planned.reference[:, 0, i]
+    center = planned.position[:, i]
     _band(panel, time, half, center)
     for bound, inwards in zip(near, (1.0, -1.0), strict=True):
         if np.isfinite(bound):
@@ -294,7 +307,7 @@ def _draw_planned(
     panel, limit = panels["speed"], scenario.limits.speed_along(i)
     panel.axhline(limit, **_LIMIT)
     panel.plot(time, limit - planned.rate_bound[:, i], **_TIGHTENED)
-    panel.plot(time, np.abs(planned.reference[:, 1, i]), **_PLANNED)
+    panel.plot(time, np.abs(planned.velocity[:, i]), **_PLANNED)
     if scenario.limits.inputs is not None:
         panel = panels["inputs"]
         for bound in scenario.limits.inputs.both()[i]:
@@ -330,12 +343,12 @@ def _draw_what_is_left(
     axes.axhline(0.0, **_LIMIT)
     lines = [(planned.time, limit.margins(law, at), _TIGHTENED)]
     if isinstance(limit, ConvexLimit):  # also of what is no state
-        value = at.derivative(limit.derivative)
+        value = law.chains.derivative_of(at.state, at.highest, limit.derivative)
         lines.append((planned.time, limit.left(value, np.zeros_like(value)), _PLANNED))
     elif (left := limit.flown(at.state, planned.feedforward)) is not None:
         lines.append((planned.time, left, _PLANNED))
     if flight is not None:
-        left = limit.flown(flight.state, flight.control)
+        left = left_in_flight(limit, law.chains, flight.state, flight.control)
         if left is not None:
             lines.append((flight.time, left, _FLOWN))
     for time, margins, style in lines:
@@ -346,22 +359,23 @@ def _draw_what_is_left(
 
 
 def _draw_flown(
-    flight: Flight, error: Array, slope: Array, panels: dict[str, Axes], i: int
+    flight: Flight, error: Array, s: Array, panels: dict[str, Axes], i: int, order: int
 ) -> None:
     """Draws one output of a flight into the panels of its column.
 
     Args:
         flight: to draw.
         error: x̃, ``(K, n, m)``.
-        slope: λ, ``(m,)``.
+        s: the sliding variable of the output, ``(K,)``.
         panels: by name.
         i: the output.
+        order: of the output.
     """
     panels["position"].plot(flight.time, flight.position[:, i], **_FLOWN)
     panels["error"].plot(flight.time, error[:, 0, i], **_FLOWN)
-    if "sliding" in panels:  # else the velocity is no state
-        s = sliding_variable(error, slope)
-        panels["sliding"].plot(flight.time, s[:, i], **_FLOWN)
+    if "sliding" in panels:
+        panels["sliding"].plot(flight.time, s, **_FLOWN)
+    if order > 1:  # else the velocity is no state
         panels["speed"].plot(flight.time, np.abs(flight.state[:, 1, i]), **_FLOWN)
     if "inputs" in panels:
         panels["inputs"].plot(flight.time, flight.control[:, i], **_FLOWN)

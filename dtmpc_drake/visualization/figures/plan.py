@@ -138,7 +138,8 @@ def _has_a_floor_near(view: View) -> bool:
         return False
     center, half = view.samples["position"], view.samples["position_tube"]
     low, high = (center - half).min(axis=0), (center + half).max(axis=0)
-    return bool(np.isfinite(near_bounds(view.bounds, low, high)[2]).any())
+    near = near_bounds(view.bounds[:3], low[:3], high[:3])
+    return bool(np.isfinite(near[2]).any())
 
 
 def _over(window: Window, other: Window) -> Window:
