@@ -26,9 +26,10 @@ from dtmpc_drake.limits import InputRange, NormLimit, PositionLimit
 from dtmpc_drake.method.units import Units
 from dtmpc_drake.models import IntegratorChain
 from dtmpc_drake.obstacles import Cylinder, ObstacleSet, Sphere
+from dtmpc_drake.planning import plan as make_plan
 from dtmpc_drake.planning.canonical import plan_in_units
 from dtmpc_drake.records.plan import Plan
-from dtmpc_drake.scenario import Scenario
+from dtmpc_drake.scenario import Scenario, load_scenario
 from dtmpc_drake.visualization import (
     ShownFlight,
     plot_histories,
@@ -199,7 +200,9 @@ def test_axes_have_the_units_and_names_of_the_model(
 ) -> None:
     scenario, plan = planned(2, outputs)
     names, inputs = ["east", "north", "up"][:outputs], ["a", "b", "c"][:outputs]
-    model = IntegratorChain(outputs, 2, 0.1, "mm", names, inputs)
+    model = IntegratorChain(
+        outputs, 2, 0.1, length_unit="mm", outputs=names, inputs=inputs
+    )
     sides = InputRange(max=[8.0] * outputs)
     limits = dataclasses.replace(scenario.limits, inputs=sides)
     scenario = dataclasses.replace(scenario, model=model, limits=limits)
@@ -217,6 +220,18 @@ def test_axes_have_the_units_and_names_of_the_model(
         assert name in titles
     page, _ = page_of(scenario, plan, tmp_path / "replay.html")
     assert re.search(r"\(grid: \d+ mm\)", page)
+
+
+def test_outputs_of_different_order_have_each_their_unit_above_their_panel() -> None:
+    scenario = load_scenario("actuator_lag")
+    found = make_plan(scenario).plan
+    assert found is not None
+    figure = plot_histories(scenario=scenario, plan=found)
+    above = [a.get_title(loc="left") for a in figure.axes]
+    units = [u for u in above if u.startswith("(")]
+    assert units[:2] == ["(m/s²)", "(m/s²)"]  # of s, of x and y of order 3
+    assert units[2] == "(m/s)" and len(units) >= 4
+    assert "sliding variable s" in texts(figure)
 
 
 # Any size.

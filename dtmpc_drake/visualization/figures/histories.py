@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Container
+from collections.abc import Container, Iterable
 from typing import Any
 
 import numpy as np
@@ -86,23 +86,20 @@ def plot_histories(
         rows.remove("sliding")  # s is the error itself
     if limits.inputs is None:
         rows.remove("inputs")
-    alike, units = {"bandwidth"}, model.output_units
-    if len(set(units)) == 1 and plan.chains.are_alike:
-        alike |= {"error", "sliding", "inputs"}
-        alike |= set() if isinstance(limits.speed, list) else {"speed"}
+    alike = {name for name, units in _units(model).items() if len(set(units)) == 1}
+    alike -= {"position", "speed"} if isinstance(limits.speed, list) else {"position"}
     others = _others(scenario)
     figure, panels, bottoms = _panels(rows, alike, m, 1 + len(others))
     bottom = bottoms[0]
-    near = near_bounds(position_bounds(limits.position, m), *planned.box, units)
+    near = near_bounds(
+        position_bounds(limits.position, m), *planned.box, model.output_units
+    )
     for i in range(m):
         column = {name: panels[name, i] for name in rows}
         title = f"along {model.output_names[i]}" if m > 1 else ""
-        title += f" ({units[i]})" if len(set(units)) > 1 else ""
         column["position"].set_title(title, fontsize=10)
         _draw_planned_position(planned, near[i], column["position"], i)
         _draw_planned(scenario, planned, column, i)
-        if "inputs" in column:
-            column["inputs"].set_title(model.input_names[i], fontsize=9, loc="left")
         if flight is not None:
             error = flight.state - plan.reference(flight.time)[:, :n]
             s = sliding_variable(error, scenario.slope(), plan.chains)[:, i]
@@ -112,9 +109,7 @@ def plot_histories(
     if flight is not None:
         norm = np.linalg.norm(flight.control, axis=1)
         bottom.plot(flight.time, norm, **_FLOWN)
-    labels = _labels(model)
-    for name in rows:
-        panels[name, 0].set_ylabel(labels[name])
+    _label({name: [panels[name, i] for i in range(m)] for name in rows}, model)
     bottom.set_ylabel(f"input norm ‖u‖\n({model.input_unit})")
     for (limit, title), axes in zip(others, bottoms[1:], strict=True):
         _draw_what_is_left(scenario, planned, limit, axes, flight)
@@ -142,22 +137,46 @@ def plot_histories(
     return figure
 
 
-def _labels(model: Model) -> dict[str, str]:
-    """Of the rows, with their units."""
-    n, unit = model.order, model.derivative_unit
-    orders = Chains.of(model).orders
-    sliding = dict.fromkeys(
-        map(derivative_unit, model.output_units, np.array(orders) - 1)
-    )
-    error = "error ỹ = s" if n == 1 else "error ỹ"
+def _units(model: Model) -> dict[str, tuple[str, ...]]:
+    """Of the rows, one for each output."""
+    units, orders = model.output_units, Chains.of(model).orders
+
+    def of(derivatives: Iterable[int]) -> tuple[str, ...]:
+        return tuple(map(derivative_unit, units, derivatives))
+
     return {
-        "position": f"position y\n({unit(0)})",
-        "error": f"tracking\n{error} ({unit(0)})",
-        "sliding": f"sliding\nvariable s ({' or '.join(sliding)})",
-        "bandwidth": "bandwidth α\n(rad/s)",
-        "speed": f"speed |ẏ|\n({unit(1)})",
-        "inputs": f"each input u\n({model.input_unit})",
+        "position": units,
+        "error": units,
+        "sliding": of(n - 1 for n in orders),
+        "bandwidth": ("rad/s",) * len(units),
+        "speed": of(1 for _ in units),
+        "inputs": model.input_units,
     }
+
+
+def _label(rows: dict[str, list[Axes]], model: Model) -> None:
+    """Writes beside the rows what they are and, if it is one, their unit.
+
+    Else the unit stands above each panel.
+    """
+    words = {
+        "position": "position y",
+        "error": "tracking\nerror ỹ" + (" = s" if model.order == 1 else ""),
+        "sliding": "sliding\nvariable s",
+        "bandwidth": "bandwidth α",
+        "speed": "speed |ẏ|",
+        "inputs": "each input u",
+    }
+    units = _units(model)
+    for name, panels in rows.items():
+        mixed = len(set(units[name])) > 1
+        space = " " if "\n" in words[name] else "\n"
+        unit = "" if mixed else f"{space}({units[name][0]})"
+        panels[0].set_ylabel(words[name] + unit)
+        for i, panel in enumerate(panels):
+            above = [model.input_names[i]] if name == "inputs" else []
+            above += [f"({units[name][i]})"] if mixed else []
+            panel.set_title(" ".join(above), fontsize=9, loc="left")
 
 
 def _others(scenario: Scenario) -> list[tuple[Limit, str]]:
