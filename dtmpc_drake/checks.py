@@ -38,6 +38,7 @@ class Setting:
         duration: of the scenario, in s.
         length_unit: of positions and obstacles.
         output_units: of every output.
+        highest_units: of the derivative of order n_i of every output.
         input_units: of every input.
         num_positions: of the outputs that say where it is; all if left out.
     """
@@ -47,6 +48,7 @@ class Setting:
     duration: float
     length_unit: str
     output_units: tuple[str, ...]
+    highest_units: tuple[str, ...]
     input_units: tuple[str, ...]
     num_positions: int | None = None
 

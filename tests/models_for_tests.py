@@ -199,20 +199,21 @@ class SkewedChains(FractionOfBound):
 
     def drift(self, x: Array) -> Array:
         """See base class."""
-        seen = x[..., 0, 0] + x[..., 1, 1] + x[..., 1, 2]
-        return np.asarray(-self.pull * np.tanh(seen)[..., None] * np.ones(3))
+        seen = x[..., 0, :1] + x[..., 1, 1:2] + x[..., 1, 2:]
+        return np.asarray(-self.pull * np.tanh(seen) * np.ones(3))
 
     def drift_bound_over(self, x: Array, radius: Array) -> Array:
         """See base class; the slope of tanh is at most one."""
         r = np.asarray(radius)
-        wide = (r[..., 0, 0] + r[..., 1, 1] + r[..., 1, 2])[..., None]
+        wide = r[..., 0, :1] + r[..., 1, 1:2] + r[..., 1, 2:]
         return np.asarray(magnitude(self.drift(x)) + self.pull * wide)
 
     def model_error_bound(self, x: Array) -> Array:
         """See base class."""
         size = magnitude(x)
-        rows = size[..., 0, 0] + size[..., 1, 2], size[..., 2, 1], size[..., 1, 1]
-        return np.asarray(self.roughness * (1.0 + np.stack(rows, axis=-1)))
+        first = size[..., 0, :1] + size[..., 1, 2:]
+        rows = first, size[..., 2, 1:2], size[..., 1, 1:2]
+        return np.asarray(self.roughness * (1.0 + np.concatenate(rows, axis=-1)))
 
     def model_error_bound_over(self, x: Array, radius: Array) -> Array:
         """See base class; exact up to the rounding of the magnitude."""

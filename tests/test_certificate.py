@@ -7,6 +7,8 @@ differential equations alone.
 from __future__ import annotations
 
 import dataclasses
+from itertools import pairwise
+from math import comb
 
 import numpy as np
 import pytest
@@ -15,7 +17,6 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from dtmpc_drake.method.tightening import Instant, deviation_bound, input_bound
-from dtmpc_drake.method.tube import cascade_bound, comparison_rate
 from dtmpc_drake.models import ConstantUncertainty, DragDoubleIntegrator
 from dtmpc_drake.numerics.polynomials import Polynomial
 from dtmpc_drake.obstacles import Ellipsoid, ObstacleSet, Sphere
@@ -65,50 +66,61 @@ def gain_along(plan: Plan, problem: Problem, time):
 
 
 def integrated_bounds(plan: Plan, problem: Problem, time):
-    """R_0 ... R_(n-1) by SciPy, ``(K, n, m)``."""
-    model = problem.model
-    n, m = model.order, model.num_outputs
-    compare = n > 1 and problem.velocity_bound == "comparison"
-    slope = problem.law.slope
-    start = problem.tube_start.stages[: n - 1]
-    if compare:
-        start = np.concatenate([start, problem.tube_start.highest[None]])
+    """R_0 ... R_(n-1) by SciPy, output by output, ``(K, n, m)``."""
+    law, model = problem.law, problem.model
+    slope, n = law.slope, law.order
+    compare = problem.velocity_bound == "comparison"
+    start, where = [], []
+    for i, order in enumerate(law.chains.orders):
+        own = [*problem.tube_start.stages[n - order : n - 1, i]]
+        if compare and order > 1:
+            own.append(problem.tube_start.highest[i])
+        where.append(slice(len(start), len(start) + len(own)))
+        start += own
 
     def bounds(t, states):
-        stages = np.concatenate([states[: n - 1], plan.boundary_layer(t)[None]])
-        return stages, np.stack([cascade_bound(stages, slope, k) for k in range(n)])
+        """What is in use, and the cascade's own of the highest derivatives."""
+        layer = plan.boundary_layer(t)
+        R = np.zeros((n, model.num_outputs))
+        loose = R.copy()
+        for i, order in enumerate(law.chains.orders):
+            stages = [*states[where[i]][: order - 1], layer[i]]
+            for k in range(order):
+                for j in range(k + 1):
+                    R[k, i] += comb(k, j) * slope[i] ** (k - j) * stages[j]
+            loose[:, i] = R[:, i]
+            if compare and order > 1:
+                R[order - 1, i] = states[where[i]][-1]
+        return R, loose
 
-    def rate(t, flat):
-        states = flat.reshape(-1, m)
-        stages, bound = bounds(t, states)
-        rates = stages[1:] - slope * stages[:-1]
-        if compare:
-            bound[-1] = np.minimum(states[-1], bound[-1])
-            top = comparison_rate(
-                problem.law,
-                reference=plan.reference(t)[:n],
-                bandwidth=gain_along(plan, problem, t) / plan.boundary_layer(t),
-                error_bound=bound,
-            )
-            # The decay acts on W itself, whichever bound Δ̄ looks at.
-            alpha = gain_along(plan, problem, t) / plan.boundary_layer(t)
-            top -= (alpha + (n - 1) * slope) * (states[-1] - bound[-1])
-            rates = np.concatenate([rates, top[None]])
-        return rates.ravel()
+    def rate(t, states):
+        reference, layer = plan.reference(t)[:n], plan.boundary_layer(t)
+        alpha = gain_along(plan, problem, t) / layer
+        R, loose = bounds(t, states)
+        largest = model.model_error_bound_over(reference, np.minimum(R, loose))
+        known = model.model_error_bound(reference)
+        E = law.disturbance_bound + 2 * largest - known
+        rates = []
+        for i, order in enumerate(law.chains.orders):
+            stages = [*states[where[i]][: order - 1], layer[i]]
+            lam = slope[i]
+            rates += [b - lam * a for a, b in pairwise(stages)]
+            if compare and order > 1:
+                c = [comb(order - 1, k) * lam ** (order - 1 - k) for k in range(order)]
+                top = -(alpha[i] + (order - 1) * lam) * R[order - 1, i] + E[i]
+                top += alpha[i] * c[0] * R[0, i]
+                for k in range(1, order - 1):
+                    top += (alpha[i] * c[k] + c[k - 1]) * R[k, i]
+                rates.append(top)
+        return rates
 
-    if not len(start):
+    if not start:
         return plan.boundary_layer(time)[:, None]
     solution = solve_ivp(
-        rate, (time[0], time[-1]), start.ravel(), t_eval=time, rtol=1e-11, atol=1e-12
+        rate, (time[0], time[-1]), start, t_eval=time, rtol=1e-11, atol=1e-12
     )
-    found = []
-    for t, flat in zip(time, solution.y.T, strict=True):
-        states = flat.reshape(-1, m)
-        bound = bounds(t, states)[1]
-        if compare:
-            bound[-1] = states[-1]
-        found.append(bound)
-    return np.array(found)
+    pairs = zip(time, solution.y.T, strict=True)
+    return np.array([bounds(t, states)[0] for t, states in pairs])
 
 
 @pytest.mark.parametrize(("model", "velocity_bound"), CASES)
@@ -122,11 +134,10 @@ def test_the_enclosed_tube_holds_the_integrated_one_and_is_tight(result, problem
     index = np.minimum(index, len(enclosure.corridor.time) - 2)
     above = enclosure.error_bound[index] - exact
     assert above.min() > -1e-7
-    assert above[:, :-1].max(initial=0.0) < 5e-3
-    assert above[:, -1].max() < 2e-2
-    reference = enclosure.corridor.reference.derivatives[
-        index, : enclosure.error_bound.shape[1]
-    ]
+    chains = problem.law.chains
+    assert (chains.below_top * above).max(initial=0.0) < 5e-3
+    assert above.max() < 2e-2
+    reference = chains.state_of(enclosure.corridor.reference.derivatives[index])
     off = np.abs(result.plan.reference(time)[:, :-1] - reference)
     assert (off <= enclosure.reference_radius[index] + 1e-12).all()
 
@@ -140,7 +151,8 @@ def test_every_margin_is_below_a_dense_sample_of_it_and_near(result, problem):
     bound = integrated_bounds(plan, problem, time)
     bandwidth = gain / plan.boundary_layer(time)
     at = Instant(reference[:, :n], reference[:, n], gain, bound)
-    speed = np.abs(reference[:, 1]) + deviation_bound(problem.law, at, 1)
+    velocity = problem.law.chains.derivative_of(at.state, at.highest, 1)
+    speed = np.abs(velocity) + deviation_bound(problem.law, at, 1)
     used = input_bound(problem.law, at)
     dense = {
         "speed": problem.speed.bound - speed.max(),

@@ -11,6 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pydrake.autodiffutils import InitializeAutoDiff
 
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.method.sliding import (
     SlidingLaw,
     gain_crossover,
@@ -94,12 +95,14 @@ def test_outside_the_layer_s_approaches_it_at_the_reaching_rate(
     slope, D = rng.uniform(0.3, 5, m), rng.uniform(0, 1, m)
     eta = 0.1
     layer, layer_rate = rng.uniform(0.05, 1, m), rng.uniform(-3, 3, m)
-    reference = rng.normal(size=(n + 1, m))
-    error = rng.normal(size=(batch, n, m))
+    chains = Chains.of(model)
+    reference = chains.reference_of(rng.normal(size=(n + 1, m)))
+    error = chains.existing(rng.normal(size=(batch, n, m)))
     # Place s on the surface of the layer, or beyond it.
     side = rng.choice([-1.0, 1.0], (batch, m))
     wanted = side * layer * rng.choice([1.0, 1.0, 3.0], (batch, m))
-    error[:, -1] += wanted - sliding_variable(error, slope)
+    s = sliding_variable(error, slope, chains)
+    chains.set_row(error, chains.top(error) + wanted - s)
     state = reference[:n] + error
     u = SlidingLaw(model, slope, D, eta).control(
         state=state, reference=reference, layer=layer, layer_rate=layer_rate
@@ -108,9 +111,10 @@ def test_outside_the_layer_s_approaches_it_at_the_reaching_rate(
     d = rng.choice([-1.0, 1.0], (batch, m)) * D
     effect = np.einsum("bij,bj->bi", model.input_matrix(state), u)
     highest = model.drift(state) + f + effect + d
-    jet = np.concatenate([error, (highest - reference[n])[:, None]], axis=1)
     # ds/dt from the jet itself: (d/dt + λ)^(n-1) of dỹ/dt.
-    rate = sliding_variable(jet[:, 1:], slope)
+    rates = np.concatenate([error[:, 1:], np.zeros((batch, 1, m))], axis=1)
+    chains.set_row(rates, highest - reference[n])
+    rate = sliding_variable(rates, slope, chains)
     assert (side * rate <= layer_rate - eta + 1e-9).all()
 
 
@@ -121,6 +125,7 @@ def test_on_the_reference_with_nothing_unknown_the_control_is_feedforward(
     rng = np.random.default_rng(seed)
     for model in every_model():
         reference = rng.normal(size=(model.order + 1, model.num_outputs))
+        reference = Chains.of(model).reference_of(reference)
         state = reference[:-1]
         m = model.num_outputs
         law = SlidingLaw(model, np.full(m, 2.0), np.full(m, 0.5), 0.1)

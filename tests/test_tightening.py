@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.tightening import (
     Instant,
@@ -71,8 +72,9 @@ class Situation:
         """At random, with states inside the box and on its corners."""
         rng = np.random.default_rng(seed)
         n, m = model.order, model.num_outputs
-        reference = rng.uniform(-2, 2, (n + 1, m))
-        radius = rng.uniform(0, 1, (n, m))
+        chains = Chains.of(model)
+        reference = chains.reference_of(rng.uniform(-2, 2, (n + 1, m)))
+        radius = chains.existing(rng.uniform(0, 1, (n, m)))
         slope, D, eta = rng.uniform(0.5, 3, m), rng.uniform(0, 1, m), 0.1
         gain = rng.uniform(0, 1.5, m)
         # The layer's rate that makes this gain, growing layers included.
@@ -148,10 +150,13 @@ def test_the_highest_derivative_stays_within_its_bound(model: Model, seed: int) 
     """It is what the input and all that is unknown make of it."""
     case = Situation.draw(model, seed)
     rng = np.random.default_rng(seed)
-    n, at = model.order, case.at
-    for k in range(n):
-        assert (deviation_bound(case.law, at, k) == at.error_bound[k]).all()
-    bound = deviation_bound(case.law, at, n)
+    chains, at = case.law.chains, case.at
+    each = [deviation_bound(case.law, at, k) for k in range(chains.order + 1)]
+    for k in range(chains.order):
+        state = chains.each > k
+        assert (each[k] == at.error_bound[k])[state].all()
+        assert not each[k][chains.each < k].any()
+    bound = np.stack(each)[chains.each, np.arange(chains.num_outputs)]
     effect = np.einsum("bij,bj->bi", model.input_matrix(case.states), case.inputs)
     here = model.model_error_bound(case.states)
     f, d = rng.choice([-1.0, 1.0], (2, 20, *here.shape))

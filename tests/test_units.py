@@ -87,6 +87,7 @@ def same_margins(
 ) -> None:
     """Every margin is the same in its unit, at the same time and place."""
     assert got.margins.keys() == wanted.margins.keys()
+    assert got.worst[0] == wanted.worst[0]
     for name, margin in got.margins.items():
         first = wanted.margins[name]
         if name in ("tube", "continuity", "time", "ends", "hand_over"):

@@ -28,7 +28,6 @@ from pydrake.systems.primitives import Adder, ConstantVectorSource, Gain, Random
 from dtmpc_drake.checks import (
     Part,
     Setting,
-    derivative_unit,
     require_length,
     require_magnitude,
 )
@@ -74,7 +73,7 @@ class Disturbance(Part, abc.ABC):
         require_length(f"{path}.bound", self.bound, setting.num_outputs)
         for i, bound in enumerate(self.bound):
             field = f"{path}.bound[{i}]"
-            unit = derivative_unit(setting.output_units[i], setting.order)
+            unit = setting.highest_units[i]
             require_magnitude(field, bound, unit)
             require(field, bound, bound >= 0, f"at least 0 {unit}")
 

@@ -259,7 +259,7 @@ def summarize(
         "backend": result.backend,
         "seed": scenario.simulation.seed,
         "units": units(scenario.model),
-        "margins": {name: dataclasses.asdict(m) for name, m in margins.items()},
+        "margins": {name: margin.summary() for name, margin in margins.items()},
         "cost": result.cost,
         "charges": _charges(scenario, result),
         "iterations": len(result.history),

@@ -87,7 +87,7 @@ class BandwidthLimit:
         allowed = np.abs(own.derivatives[:, 0]) - own.radius(0)
         near = KNOTS_TOLERANCE * allowed * thin + np.minimum(*room(needed))
         margins = {
-            name: smallest(time, left / thick / units.time, "rad/s", axes)
+            name: smallest(time, left / thick, "rad/s", axes, 1 / units.time)
             for name, left in (
                 ("bandwidth_min", above),
                 ("bandwidth_max", below),
@@ -105,8 +105,7 @@ class BandwidthLimit:
                 thinnest = np.maximum(thin, THINNEST)
                 off = off * layer.largest(1) / thinnest + needed.largest(1)
                 slack = slack - off / thinnest
-            slack = slack / units.time**2
-            margins[name] = smallest(time, slack, "rad/s²", axes)
+            margins[name] = smallest(time, slack, "rad/s²", axes, units.time**-2)
         return margins
 
 

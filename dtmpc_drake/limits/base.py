@@ -59,8 +59,8 @@ class Limit(Part, abc.ABC):
         """
 
     @abc.abstractmethod
-    def unit(self, law: SlidingLaw) -> str:
-        """Of the margins, for messages."""
+    def unit(self, law: SlidingLaw, column: int | None = None) -> str:
+        """Of the margins, for messages: of one column, or of all."""
 
     def where(self, law: SlidingLaw, column: int) -> str:
         """What a column of the margins is about, ``axis x`` or nothing."""
@@ -99,10 +99,11 @@ class Limit(Part, abc.ABC):
     def certify(self, enclosure: Enclosure) -> dict[str, Margin]:
         """Its margins of a certificate, by name, in the user's units."""
         values, units = self.proven(enclosure), enclosure.corridor.units
-        values = values * self.worth(units, enclosure.law.order)
         law, time = enclosure.law, enclosure.time * units.time
-        places = [self.where(law, column) for column in range(values.shape[1])]
-        return {self.name: smallest(time, values, self.unit(law), places)}
+        worth, columns = self.worth(units, law.order), range(values.shape[1])
+        places = [self.where(law, column) for column in columns]
+        units_ = [self.unit(law, column) for column in columns]
+        return {self.name: smallest(time, values, units_, places, worth)}
 
 
 LIMITS: Registry[Limit] = Registry(Limit, "register_limit")

@@ -12,7 +12,7 @@ from dtmpc_drake.method.enclosure import Enclosure
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.tightening import Instant
 from dtmpc_drake.method.units import Units
-from dtmpc_drake.models import ConstantUncertainty
+from dtmpc_drake.models import ConstantUncertainty, joined
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.numerics.differences import differences
 
@@ -36,9 +36,10 @@ class CoverLimit(SampledLimit):
         """See base class."""
         return "the constant uncertainty bound"
 
-    def unit(self, law: SlidingLaw) -> str:
+    def unit(self, law: SlidingLaw, column: int | None = None) -> str:
         """See base class."""
-        return law.model.derivative_unit(law.order)
+        units = law.model.highest_units()
+        return joined(units) if column is None else units[column]
 
     def where(self, law: SlidingLaw, column: int) -> str:
         """See base class."""

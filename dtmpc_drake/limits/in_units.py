@@ -41,9 +41,9 @@ class _Translated(Limit):
         """See base class."""
         return self.limit.title
 
-    def unit(self, law: SlidingLaw) -> str:
+    def unit(self, law: SlidingLaw, column: int | None = None) -> str:
         """See base class."""
-        return self.limit.unit(self.law)
+        return self.limit.unit(self.law, column)
 
     def where(self, law: SlidingLaw, column: int) -> str:
         """See base class."""

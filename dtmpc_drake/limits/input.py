@@ -33,7 +33,7 @@ class InputLimit(SampledLimit):
 
     name: ClassVar[str] = "input"
 
-    def unit(self, law: SlidingLaw) -> str:
+    def unit(self, law: SlidingLaw, column: int | None = None) -> str:
         """See base class."""
         return law.model.input_unit
 

@@ -15,6 +15,7 @@ from dtmpc_drake.method.enclosure import Enclosure
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.tightening import Instant, input_range
 from dtmpc_drake.method.units import Units
+from dtmpc_drake.models import joined
 from dtmpc_drake.numerics.arrays import Array
 
 
@@ -34,9 +35,10 @@ class InputRange(Sides, SampledLimit):
         """See base class."""
         return float(np.abs(self.bounds).max())
 
-    def unit(self, law: SlidingLaw) -> str:
+    def unit(self, law: SlidingLaw, column: int | None = None) -> str:
         """See base class."""
-        return law.model.input_unit
+        units = law.model.input_units
+        return joined(units) if column is None else units[self.of_row(column)]
 
     def in_units(self, units: Units, order: int) -> InputRange:
         """See base class."""

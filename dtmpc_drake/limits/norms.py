@@ -135,7 +135,7 @@ class DerivativeNorm(ConvexLimit):
         """See base class."""
         return DerivativeNorm(self.of, self.norm.in_unit(units.of(self.of)))
 
-    def unit(self, law: SlidingLaw) -> str:
+    def unit(self, law: SlidingLaw, column: int | None = None) -> str:
         """See base class."""
         return law.model.derivative_unit(self.of)
 
@@ -173,7 +173,7 @@ class InputNorm(SampledLimit):
         """See base class."""
         return units.of(order)
 
-    def unit(self, law: SlidingLaw) -> str:
+    def unit(self, law: SlidingLaw, column: int | None = None) -> str:
         """See base class."""
         return law.model.input_unit
 

@@ -32,7 +32,7 @@ class ObstacleLimit(Limit):
 
     name: ClassVar[str] = "obstacles"
 
-    def unit(self, law: SlidingLaw) -> str:
+    def unit(self, law: SlidingLaw, column: int | None = None) -> str:
         """See base class."""
         return law.model.length_unit
 
@@ -77,9 +77,9 @@ class ObstacleLimit(Limit):
             open_ = (values < 0).any(axis=1) & (stride > 1)
             if not open_.all():
                 time = corridor.time[start[~open_]] * corridor.units.time
-                left = values[~open_] * corridor.units.length
-                places = [self.where(law, i) for i in range(left.shape[1])]
-                found.append(smallest(time, left, self.unit(law), places))
+                places = [self.where(law, i) for i in range(values.shape[1])]
+                unit, worth = self.unit(law), corridor.units.length
+                found.append(smallest(time, values[~open_], unit, places, worth))
             stride //= 2
             start = (start[open_, None] + [0, stride]).ravel()
         return worst(found)

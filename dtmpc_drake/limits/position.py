@@ -10,6 +10,7 @@ from dtmpc_drake.limits.base import LinearLimit
 from dtmpc_drake.limits.sides import Sides
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.units import Units
+from dtmpc_drake.models import joined
 
 
 @dataclasses.dataclass
@@ -25,9 +26,10 @@ class PositionLimit(Sides, LinearLimit):
     derivative: ClassVar[int] = 0
     size: ClassVar[None] = None
 
-    def unit(self, law: SlidingLaw) -> str:
+    def unit(self, law: SlidingLaw, column: int | None = None) -> str:
         """See base class."""
-        return law.model.derivative_unit(0)
+        units = law.model.output_units
+        return joined(units) if column is None else units[self.of_row(column)]
 
     def in_units(self, units: Units, order: int) -> PositionLimit:
         """See base class."""

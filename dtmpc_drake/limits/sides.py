@@ -46,6 +46,10 @@ class Sides:
         both = self.both() * [-1.0, 1.0]
         return both[np.isfinite(both)]
 
+    def of_row(self, row: int) -> int:
+        """Which of the numbers a row is about."""
+        return int(np.argwhere(np.isfinite(self._both()))[row, 0])
+
     def side(self, row: int, names: Sequence[str]) -> str:
         """What a row is about, ``min of axis z``."""
         i, column = np.argwhere(np.isfinite(self.both()))[row]

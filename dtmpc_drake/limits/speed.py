@@ -10,6 +10,7 @@ import numpy as np
 from dtmpc_drake.limits.base import LinearLimit
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.units import Units
+from dtmpc_drake.models import joined
 from dtmpc_drake.numerics.arrays import Array
 
 
@@ -26,9 +27,10 @@ class SpeedLimit(LinearLimit):
     name: ClassVar[str] = "speed"
     derivative: ClassVar[int] = 1
 
-    def unit(self, law: SlidingLaw) -> str:
+    def unit(self, law: SlidingLaw, column: int | None = None) -> str:
         """See base class."""
-        return law.model.derivative_unit(1)
+        units = law.model.units_of(1)
+        return joined(units) if column is None else units[column // 2]
 
     def where(self, law: SlidingLaw, column: int) -> str:
         """See base class."""

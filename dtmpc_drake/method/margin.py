@@ -20,17 +20,29 @@ class Margin:
         unit: of the value.
         time: when it is smallest, in s.
         where: which obstacle, axis or bound.
+        worth: so large is an own unit of the problem in the unit of the value.
     """
 
     value: float
     unit: str
     time: float
     where: str
+    worth: float = 1.0
+
+    @property
+    def rank(self) -> float:
+        """By which margins of different units compare; what is not finite is first."""
+        return self.value / self.worth if math.isfinite(self.value) else -math.inf
 
     @property
     def kept(self) -> bool:
         """Whether the limit is kept; what is not finite is not."""
         return math.isfinite(self.value) and self.value >= 0
+
+    def summary(self) -> dict[str, float | str]:
+        """As plain numbers and texts."""
+        names = "value", "unit", "time", "where"
+        return {name: getattr(self, name) for name in names}
 
     def named(self, name: str) -> str:
         """One line that says of which limit this is the margin."""
@@ -52,25 +64,29 @@ class Margin:
 
 
 def smallest(
-    time: Array, values: Array, unit: str, where: str | Sequence[str]
+    time: Array,
+    values: Array,
+    unit: str | Sequence[str],
+    where: Sequence[str],
+    worth: float = 1.0,
 ) -> Margin:
     """The smallest of ``(K, q)`` values; one that is not finite comes before all.
 
     Args:
         time: ``(K,)``, in s.
-        values: ``(K, q)``, not empty.
-        unit: of the values.
-        where: names of the columns, or what they are called before their number.
+        values: ``(K, q)``, not empty, in own units of a problem.
+        unit: of the user, for all columns or for each.
+        where: names of the columns.
+        worth: of an own unit in those of the user.
     """
     ranked = np.where(np.isfinite(values), values, -np.inf)
     row, column = np.unravel_index(int(np.argmin(ranked)), values.shape)
-    if isinstance(where, str):
-        name = f"{where} {column}" if where else ""
-    else:
-        name = where[int(column)]
-    return Margin(float(values[row, column]), unit, float(time[row]), name)
+    if not isinstance(unit, str):
+        unit = unit[int(column)]
+    value = float(values[row, column] * worth)
+    return Margin(value, unit, float(time[row]), where[int(column)], worth)
 
 
 def worst(margins: Iterable[Margin]) -> Margin:
-    """The smallest of several margins, as `smallest`."""
-    return min(margins, key=lambda m: m.value if math.isfinite(m.value) else -math.inf)
+    """The smallest of several margins, each in own units."""
+    return min(margins, key=lambda margin: margin.rank)

@@ -10,7 +10,7 @@ from dtmpc_drake.models.drag import DragDoubleIntegrator
 from dtmpc_drake.models.chain import IntegratorChain
 
 # isort: on
-from dtmpc_drake.models.base import MODELS, Model, register_model
+from dtmpc_drake.models.base import MODELS, Model, joined, register_model
 from dtmpc_drake.models.constant import ConstantUncertainty
 from dtmpc_drake.models.lagged import LaggedMultirotor
 from dtmpc_drake.models.sampled import SampledBoxBounds
@@ -23,5 +23,6 @@ __all__ = [
     "LaggedMultirotor",
     "Model",
     "SampledBoxBounds",
+    "joined",
     "register_model",
 ]

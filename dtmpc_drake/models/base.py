@@ -1,7 +1,7 @@
 """What a model of a plant must say of itself."""
 
 import abc
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -57,20 +57,29 @@ class Model(Part, abc.ABC):
         """Of the inputs, for a reader; u and the number of each."""
         return tuple(f"u{i}" for i in range(self.num_outputs))
 
-    @property
-    def input_units(self) -> tuple[str, ...]:
-        """Of the inputs; those of the n-th derivatives unless overridden."""
-        return tuple(derivative_unit(unit, self.order) for unit in self.output_units)
+    def units_of(self, order: int) -> tuple[str, ...]:
+        """The units of a derivative of each output, such as ``m/s²``."""
+        return tuple(derivative_unit(unit, order) for unit in self.output_units)
+
+    def highest_units(self, below: int = 0) -> tuple[str, ...]:
+        """The units of the derivatives of order n_i, or of so many orders less."""
+        orders = self.orders or [self.order] * self.num_outputs
+        units = zip(self.output_units, orders, strict=True)
+        return tuple(derivative_unit(unit, order - below) for unit, order in units)
 
     def derivative_unit(self, order: int) -> str:
-        """The unit of a derivative of the outputs, such as ``m/s²``; all if many."""
-        units = (derivative_unit(unit, order) for unit in self.output_units)
-        return " or ".join(dict.fromkeys(units))
+        """The unit of a derivative, one text for all outputs."""
+        return joined(self.units_of(order))
 
     @property
     def input_unit(self) -> str:
-        """The unit of the inputs; all if many."""
-        return " or ".join(dict.fromkeys(self.input_units))
+        """The unit of the inputs, one text for all."""
+        return joined(self.input_units)
+
+    @property
+    def input_units(self) -> tuple[str, ...]:
+        """Of the inputs; those of the highest derivatives unless overridden."""
+        return self.highest_units()
 
     @abc.abstractmethod
     def drift(self, x: Array) -> Array:
@@ -184,6 +193,11 @@ class Model(Part, abc.ABC):
         raise NotImplementedError(
             f"{type(self).__name__} gives no constant bound of its model error"
         )
+
+
+def joined(units: Iterable[str]) -> str:
+    """One text for what may have several units."""
+    return " or ".join(dict.fromkeys(units))
 
 
 MODELS: Registry[Model] = Registry(Model, "register_model")

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from dtmpc_drake.checks import Setting, require_not_negative
-from dtmpc_drake.models.base import Model, register_model
+from dtmpc_drake.models.base import Model, joined, register_model
 from dtmpc_drake.numerics.arrays import Array
 
 
@@ -46,7 +46,7 @@ class IntegratorChain(Model):
 
     def check(self, path: str, setting: Setting) -> None:
         """See base class."""
-        unit = self.derivative_unit(self.order)
+        unit = joined(self.highest_units())
         require_not_negative(f"{path}.error_bound", self.error_bound, unit)
 
     @property

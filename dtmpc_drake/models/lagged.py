@@ -37,12 +37,14 @@ class LaggedMultirotor(Model):
         drag_estimate: Ĉ, in 1/m.
         drag_error_bound: the bound of ``|C - Ĉ|``, in 1/m.
         yaw_bias_bound: the bound of ``|b|``, in rad/s.
+        length_unit: in place of the metre.
     """
 
     lag: float = 0.25
     drag_estimate: float = 0.1
     drag_error_bound: float = 0.0
     yaw_bias_bound: float = 0.0
+    length_unit: str = "m"
 
     # Unannotated, so that they are no fields of the dataclass.
     num_outputs = 4
@@ -57,8 +59,14 @@ class LaggedMultirotor(Model):
         """See base class."""
         require_positive(f"{path}.lag", self.lag, "s")
         for name in ("drag_estimate", "drag_error_bound"):
-            require_not_negative(f"{path}.{name}", getattr(self, name), "1/m")
+            unit = f"1/{self.length_unit}"
+            require_not_negative(f"{path}.{name}", getattr(self, name), unit)
         require_not_negative(f"{path}.yaw_bias_bound", self.yaw_bias_bound, "rad/s")
+
+    @property
+    def output_units(self) -> tuple[str, ...]:
+        """See base class."""
+        return (*(self.length_unit,) * 3, "rad")
 
     def drift(self, x: Array) -> Array:
         """F̂, with the estimated drag and without a bias."""
@@ -70,7 +78,7 @@ class LaggedMultirotor(Model):
         drag, bias = (np.asarray(known[name])[..., None] for name in known)
         v, a, climb = x[..., 1, :2], x[..., 2, :2], x[..., 1, 2:3]
         speed = euclidean_norm(v)[..., None]
-        along = (v * a).sum(axis=-1)[..., None] / speed
+        along = (v * a).sum(axis=-1, keepdims=True) / speed
         pushed = speed * v / self.lag + speed * a + along * v
         return np.concatenate(
             [

@@ -33,6 +33,7 @@ from dtmpc_drake.method.sliding import SlidingLaw, gain_crossover
 from dtmpc_drake.method.tube import TubeStart, propagate
 from dtmpc_drake.models import ConstantUncertainty
 from dtmpc_drake.numerics.splines import grouped
+from dtmpc_drake.planning.canonical import canonical
 from dtmpc_drake.planning.charges import charges
 from dtmpc_drake.planning.planner import plan_problem
 from dtmpc_drake.planning.problem import Problem
@@ -50,7 +51,7 @@ RESOLUTION = 1 / (STEPS * 2**HALVINGS)
 PATIENCE = 2
 """So many bandwidths in a row that are worse than the best end the way down."""
 VANISHING = 1e-6
-"""Reaching rate and first layer of a plan without tube, in m/s² and m/s."""
+"""Reaching rate and first layer of a plan without tube, in own units."""
 
 TITLES = {
     "nominal": "nominal MPC, no tube",
@@ -302,8 +303,7 @@ def _rank(outcome: Outcome) -> tuple[bool, bool, float]:
         return not outcome.certified, False, outcome.result.cost
     if certificate is None or certificate.faults:
         return True, True, math.inf
-    margin = certificate.worst[1].value
-    return True, True, -margin if math.isfinite(margin) else math.inf
+    return True, True, -certificate.worst[1].rank
 
 
 def without_tube(problem: Problem) -> Problem:
@@ -313,19 +313,20 @@ def without_tube(problem: Problem) -> Problem:
     nothing.
     """
     law = problem.law
-    nothing = np.zeros_like(law.slope)
+    nothing, units = np.zeros_like(law.slope), canonical(problem).units
+    layer = nothing + VANISHING * units.of(law.order - 1)
     return dataclasses.replace(
         problem,
         law=SlidingLaw(
             model=ConstantUncertainty(law.model, nothing, covers=False),
             slope=law.slope,
             disturbance_bound=nothing,
-            reaching_rate=VANISHING,
+            reaching_rate=VANISHING * units.of(law.order),
         ),
         bandwidth=problem.bandwidth.at(problem.bandwidth_cost.floor),
         tube_start=TubeStart.of_error(
             np.zeros_like(problem.start),
-            nothing + VANISHING,
+            layer,
             law.slope,
             law.chains,
         ),

@@ -63,4 +63,5 @@ def hold_plan(scenario: Scenario) -> Plan:
         ),
         bound_samples=bounds.error_bound,
         bound_rate_samples=bounds.error_bound_rate,
+        orders=law.chains.each,
     )

@@ -15,6 +15,7 @@ from dtmpc_drake.method.tube import (
     stages_of_bounds,
 )
 from dtmpc_drake.numerics.arrays import Array, BoolArray, FloatArray
+from dtmpc_drake.planning.canonical import canonical
 from dtmpc_drake.planning.deadline import Deadline
 from dtmpc_drake.planning.planner import plan_problem
 from dtmpc_drake.planning.problem import Problem
@@ -34,9 +35,10 @@ ITERATIONS = 12
 LAYER_TOLERANCE = 1e-6
 """By how much a measured |s| may exceed Φ for rounding, relative."""
 CLOSE = 1e-3
-"""Two states that are no further apart are the same, in their units."""
+"""Two states that are no further apart are the same, in own units."""
 CARRY_STEP = 5e-3
-"""Step at most, with which the measured error is carried to the hand-over, in s."""
+"""Step at most, with which the measured error is carried to the hand-over, in the own
+unit of time."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -93,7 +95,8 @@ def carried_start(
     )
     stages, highest = start.stages, start.highest
     if until > measured_at:
-        steps = max(2, int(np.ceil((until - measured_at) / CARRY_STEP)))
+        longest = CARRY_STEP * canonical(problem).units.time
+        steps = max(2, int(np.ceil((until - measured_at) / longest)))
         times = np.linspace(measured_at, until, 2 * steps + 1)
         tube = _tube_along(plan, problem, times, start)
         stages, highest = tube.stages[-1], law.chains.top(tube.error_bound[-1])
@@ -276,15 +279,16 @@ def _heads_for_goal(plan: Plan, problem: Problem) -> bool:
     Of a goal that is soft a plan may fall short; one that then rests, farther from
     the goal than from where it is, is taken for a stop.
     """
-    end = plan.reference(plan.end_time)[: problem.model.order]
-    rows = problem.goal_rows
-    if (np.abs(end[rows] - problem.goal[rows]) >= CLOSE).any():
+    n, rows = problem.model.order, problem.goal_rows
+    end = plan.reference(plan.end_time)[:n]
+    close = CLOSE * canonical(problem).units.of_rows(n)
+    if (np.abs(end - problem.goal) >= close)[rows].any():
         return False
     left, way = (
         float(np.linalg.norm(end[0] - x[0])) for x in (problem.goal, problem.start)
     )
-    rests = problem.model.order > 1 and bool((np.abs(end[1:]) < CLOSE).all())
-    return 0 in rows or not rests or left <= max(way, CLOSE)
+    rests = problem.model.order > 1 and bool((np.abs(end) < close)[1:].all())
+    return 0 in rows or not rests or left <= max(way, close[0, 0])
 
 
 class _Tries:

@@ -364,18 +364,20 @@ class Transcription:
             unit = law.model.length_unit
             note(float(worst), unit, f"obstacle {obstacle}", float(time))
         for convex, margin in zip(p.convex, iterate.convex, strict=True):
-            piece, _, column = np.unravel_index(margin.argmin(), margin.shape)
-            where = convex.where(law, int(column))
+            piece, _, last = np.unravel_index(margin.argmin(), margin.shape)
+            column = int(last)
+            where = convex.where(law, column)
             title = f"{convex.title} on {where}" if where else convex.title
             worst = margin.min() * convex.worth(p.units, self.order)
-            note(float(worst), convex.unit(law), title, float(knots[piece]))
+            note(float(worst), convex.unit(law, column), title, float(knots[piece]))
         for sampled, margin in zip(p.sampled, iterate.sampled, strict=True):
-            node, column = np.unravel_index(margin.argmin(), margin.shape)
-            where = sampled.where(law, int(column))
+            node, last = np.unravel_index(margin.argmin(), margin.shape)
+            column = int(last)
+            where = sampled.where(law, column)
             title = f"{sampled.title} on {where}" if where else sampled.title
             time = knots[0] + self.step * node / self.tube_steps
             worst = margin.min() * sampled.worth(p.units, self.order)
-            note(float(worst), sampled.unit(law), title, float(time))
+            note(float(worst), sampled.unit(law, column), title, float(time))
         return found
 
     # The tube's states in the programs.

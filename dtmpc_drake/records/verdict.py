@@ -224,15 +224,12 @@ def _breach(
         # Axes with lower limits are watched as if theirs were the largest.
         slower = largest - limits.speed_along(int(column[FIRST_WHERE]))
         largest, first, worst = (x - slower for x in (largest, first, worst))
-    units = {
-        "obstacles": model.length_unit,
-        "speed": model.derivative_unit(1),
-        "input": model.input_unit,
-    }
-    unit = f" {units[what]}" if what in units else ""
-    where = ""
+    index, unit, where = int(column[FIRST_WHERE]), "", ""
+    if what == "speed":
+        unit = f" {model.units_of(1)[index]}"
+    elif what in ("obstacles", "input"):
+        unit = f" {model.input_unit if what == 'input' else model.length_unit}"
     if place:
-        index = int(column[FIRST_WHERE])
         where = model.axes[index] if place == "axis" else f"{place} {index}"
     limit, sign = f"at most {largest:g}{unit}", 1.0
     if what == "obstacles":

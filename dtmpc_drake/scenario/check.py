@@ -15,7 +15,6 @@ import numpy as np
 from dtmpc_drake.checks import (
     Part,
     Setting,
-    derivative_unit,
     require_length,
     require_magnitude,
     require_positive,
@@ -29,7 +28,7 @@ from dtmpc_drake.method.sliding import sliding_variable
 from dtmpc_drake.method.stability import ROOM, longest_stable_step
 from dtmpc_drake.method.stopping import range_needed
 from dtmpc_drake.method.tube import TubeStart, propagate
-from dtmpc_drake.models import IntegratorChain
+from dtmpc_drake.models import IntegratorChain, joined
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.scenario.schema import (
     BACKENDS,
@@ -83,11 +82,11 @@ def validate_values(scenario: Scenario) -> None:
 
 
 def _check_magnitudes(scenario: Scenario) -> None:
-    units = scenario.model.output_units
     for field, row in _waypoint_rows(scenario).items():
         k = DERIVATIVES.index(field.split(".")[1])
+        units = scenario.model.units_of(k)
         for i, value in enumerate(row):
-            require_magnitude(f"{field}[{i}]", value, derivative_unit(units[i], k))
+            require_magnitude(f"{field}[{i}]", value, units[i])
     highest, planner = scenario.controller.bandwidth.max, scenario.planner
     require_magnitude("controller.bandwidth.max", highest, "rad/s")
     require_magnitude("planner.compute_delay", planner.compute_delay, "s")
@@ -160,15 +159,17 @@ def _check_ranges(scenario: Scenario) -> None:
     c, b = scenario.controller, scenario.controller.bandwidth
     planner, sensing = scenario.planner, scenario.sensing
     simulation, model = scenario.simulation, scenario.model
-    layer_unit = model.derivative_unit(model.order - 1)
     positive = {
         "duration": (scenario.duration, "s"),
         "limits.input": (scenario.limits.input, model.input_unit),
         "controller.reaching_rate": (
             c.reaching_rate,
-            model.derivative_unit(model.order),
+            joined(model.highest_units()),
         ),
-        "controller.initial_boundary_layer": (c.initial_boundary_layer, layer_unit),
+        "controller.initial_boundary_layer": (
+            c.initial_boundary_layer,
+            joined(model.highest_units(below=1)),
+        ),
         "controller.bandwidth.min": (b.min, "rad/s"),
         "simulation.max_step_size": (simulation.max_step_size, "s"),
         "simulation.log_period": (simulation.log_period, "s"),
@@ -182,7 +183,7 @@ def _check_ranges(scenario: Scenario) -> None:
     for i, bound in enumerate(speed if isinstance(speed, list) else [speed]):
         field = f"limits.speed[{i}]" if isinstance(speed, list) else "limits.speed"
         along = i if isinstance(speed, list) else 0
-        positive[field] = (bound, derivative_unit(model.output_units[along], 1))
+        positive[field] = (bound, model.units_of(1)[along])
     for i, slope in enumerate(c.slope):
         positive[f"controller.slope[{i}]"] = (slope, "1/s")
     for field, (value, unit) in positive.items():
@@ -285,6 +286,7 @@ def _check_parts(scenario: Scenario) -> None:
         duration=scenario.duration,
         length_unit=model.length_unit,
         output_units=model.output_units,
+        highest_units=model.highest_units(),
         input_units=model.input_units,
         num_positions=model.num_positions,
     )
@@ -391,7 +393,7 @@ def _check_motion(scenario: Scenario) -> None:
         np.abs(s),
         bool((np.abs(s) <= layer).all()),
         f"so small that |s(t0)| is at most the initial boundary layer, {layer:g}"
-        f" {model.derivative_unit(model.order - 1)} (the values are |s(t0)|)",
+        f" {joined(model.highest_units(below=1))} (the values are |s(t0)|)",
     )
 
 
@@ -446,13 +448,13 @@ def _check_limits_at_ends(scenario: Scenario) -> None:
             continue
         if (limit.reads(error.shape[1]) & (chains.each <= limit.derivative)).any():
             continue  # it looks at what is no state
-        k, unit = limit.derivative, limit.unit(law)
+        k = limit.derivative
         for end, (state, tube) in ends.items():
             if end == "goal" and k in scenario.soft_derivatives():
                 continue
             left = limit.left(state[k], tube[k])
             worst = int(left.argmin())
-            where = limit.where(law, worst)
+            where, unit = limit.where(law, worst), limit.unit(law, worst)
             where = f" ({where})" if where else ""
             require(
                 f"{end}.{names[k]}" if k < len(names) else end,

@@ -467,7 +467,7 @@ class Scenario:
         )
 
     def own_units(self) -> Units:
-        """Those in which all problems look alike, in the user's."""
+        """In which it is planned and proven."""
         return Units.own(
             speed=self.limits.fastest,
             slope=self.slope(),

@@ -15,6 +15,7 @@ from pydrake.systems.framework import (
 from dtmpc_drake.limits import flown
 from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.method.sliding import sliding_variable
+from dtmpc_drake.method.units import Units
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.records import verdict
 from dtmpc_drake.records.plan import Plan
@@ -24,14 +25,19 @@ from dtmpc_drake.systems.side_by_side import unflattened, unpacked
 from dtmpc_drake.systems.wiring import AddConnected
 
 _WIDENING = 1e-6
-"""Added to every bound (in m or m/s), so that 0/0 at the start counts as 0."""
+"""Added to every bound, in own units, so that 0/0 at the start counts as 0."""
 _SHORTEST = 1e-6
 """Time over which a speed may be taken from two positions, in s: less is rounding."""
 _TUBES = slice(verdict.LAYER, verdict.VELOCITY + 1)
 
 
 def tube_ratios(
-    *, plan: Plan, time: Array | float, state: Array, slope: Array
+    *,
+    plan: Plan,
+    time: Array | float,
+    state: Array,
+    slope: Array,
+    units: Units | None = None,
 ) -> Array:
     """|s|/Φ, |ỹ|/Ω and |dỹ/dt|/W: at most one inside the tube.
 
@@ -43,23 +49,26 @@ def tube_ratios(
         time: shape ``(...)``, in s.
         state: x, shape ``(..., n, m)``.
         slope: λ, shape ``(m,)``.
+        units: in which a bound of a millionth is as good as none; the user's if left
+            out.
 
     Returns:
         Shape ``(..., 3, m)``.
     """
     error = state - plan.reference(time)[..., :-1, :]
     bound = plan.error_bound(time)
-    velocity = min(1, plan.order - 1)
+    velocity, units = min(1, plan.order - 1), units or Units()
     s = sliding_variable(error, slope, plan.chains)
     ratios = np.empty((*error.shape[:-2], 3, error.shape[-1]))
-    for k, (used, allowed) in enumerate(
+    for k, (used, allowed, derivative) in enumerate(
         (
-            (s, plan.boundary_layer(time)),
-            (error[..., 0, :], bound[..., 0, :]),
-            (error[..., velocity, :], bound[..., velocity, :]),
+            (s, plan.boundary_layer(time), plan.order - 1),
+            (error[..., 0, :], bound[..., 0, :], 0),
+            (error[..., velocity, :], bound[..., velocity, :], velocity),
         )
     ):
-        ratios[..., k, :] = np.abs(used) / (allowed + _WIDENING)
+        widening = _WIDENING * units.of(derivative)
+        ratios[..., k, :] = np.abs(used) / (allowed + widening)
     if not plan.chains.are_alike:
         still = plan.chains.each == 1
         ratios[..., 2, still] = ratios[..., 1, still]
@@ -115,7 +124,7 @@ class TubeMonitor(LeafSystem):
         count = 1 if trials is None else trials
         self._shape = (count, n, m)
         self._still = self._chains.each == 1
-        self._slope = scenario.slope()
+        self._slope, self._units = scenario.slope(), scenario.own_units()
         self._obstacles = scenario.obstacle_set()
         self._largest = verdict.largest_kept(scenario.limits)
         limits = scenario.limits
@@ -192,6 +201,7 @@ class TubeMonitor(LeafSystem):
             time=context.get_time(),
             state=self._states(context),
             slope=self._slope,
+            units=self._units,
         )
         output.SetFromVector(ratios.ravel())
 

@@ -27,7 +27,7 @@ class PowerLimit(SampledLimit):
     def size(self) -> float:
         return self.bound
 
-    def unit(self, law: SlidingLaw) -> str:
+    def unit(self, law: SlidingLaw, column: int | None = None) -> str:
         return "W/kg"
 
     def margins(self, law: SlidingLaw, at: Instant) -> Array:

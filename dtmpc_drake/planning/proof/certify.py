@@ -103,10 +103,9 @@ def _margins(plan: Plan, problem: Problem, enclosure: Enclosure) -> dict[str, Ma
             margins |= limit.certify(enclosure)
     margins |= problem.bandwidth.certify(enclosure)
     thinnest = enclosure.layer.derivatives[:, 0] - enclosure.layer.radius(0)
-    thinnest = thinnest * units.of(n - 1)
     chains, model = problem.law.chains, problem.model
-    unit, axes = model.derivative_unit(n - 1), model.axes
-    margins["boundary_layer"] = smallest(time, thinnest, unit, axes)
+    units_, axes = model.highest_units(below=1), model.axes
+    margins["boundary_layer"] = smallest(time, thinnest, units_, axes, units.of(n - 1))
     tolerance = np.full(chains.exists.shape, TUBE_TOLERANCE)
     chains.set_top(tolerance, TOP_TOLERANCE if n > 1 else TUBE_TOLERANCE)
     left = chains.pack(enclosure.claim_excess + tolerance)

@@ -70,8 +70,8 @@ def consistency_margins(plan: Plan, problem: Problem) -> dict[str, Margin]:
     time = np.array([plan.start_time, plan.end_time])
     wanted = np.array([problem.start_time, problem.start_time + problem.duration])
     allowed = TIME_TOLERANCE * (1 + np.abs(wanted).max())
-    left = (allowed - np.abs(time - wanted))[:, None] * unit
-    margins["time"] = smallest(time * unit, left, "s", ["of the plan"])
+    left = (allowed - np.abs(time - wanted))[:, None]
+    margins["time"] = smallest(time * unit, left, "s", ["of the plan"], unit)
 
     rows = [f"y*^({k}) on {axes[i]}" for k, i in np.argwhere(exists)]
     ends = plan.reference(time)[:, :n]
