@@ -48,7 +48,7 @@ class Sides:
 
     def of_row(self, row: int) -> int:
         """Which of the numbers a row is about."""
-        return int(np.argwhere(np.isfinite(self._both()))[row, 0])
+        return int(np.argwhere(np.isfinite(self.both()))[row, 0])
 
     def side(self, row: int, names: Sequence[str]) -> str:
         """What a row is about, ``min of axis z``."""
