@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import re
 import subprocess
@@ -13,6 +14,9 @@ import pytest
 import typer
 
 from dtmpc_drake.__main__ import app
+from dtmpc_drake.experiments.simulate import OUTPUTS, run
+from dtmpc_drake.planning import plan
+from dtmpc_drake.scenario import Costs, Limits, parse_scenario
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -24,6 +28,12 @@ CHEAP = (
     "dtmpc simulate",
     "dtmpc export",
 )
+
+
+def scenarios() -> dict[str, str]:
+    """The blocks that are whole scenario files, by their name."""
+    texts = re.findall(r"```yaml\n(.*?)```", README, re.DOTALL)
+    return {t.split()[1]: t for t in texts if t.startswith("name: ")}
 
 
 def floors() -> list[str]:
@@ -91,6 +101,44 @@ def test_the_code_runs_as_printed(
     exec(block("From Python", "python"), names)
     assert names["result"].certified  # type: ignore[attr-defined]
     assert (tmp_path / "plan.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("name", scenarios())
+def test_the_scenarios_work_as_printed(name: str, tmp_path: Path) -> None:
+    """Planned, certified, flown, drawn and written."""
+    experiment = run(parse_scenario(scenarios()[name]), tmp_path)
+    assert experiment.safe, experiment
+    assert {path.name for path in experiment.files} == set(OUTPUTS)
+    unit = "mm" if name == "table_top" else "m"
+    assert experiment.summary()["units"]["length"] == unit
+
+
+def test_what_the_scenarios_are_said_to_be() -> None:
+    assert set(scenarios()) == {"fenced_yard", "table_top", "descent_step"}
+    yard = plan(parse_scenario(scenarios()["fenced_yard"]))
+    assert yard.plan is not None and yard.certificate is not None
+    bandwidth = yard.plan.bandwidth(yard.plan.sample_times())
+    assert bandwidth.min() == pytest.approx(1.0, abs=0.01)
+    assert bandwidth.max() == pytest.approx(1.36, abs=0.02)
+    assert 0 <= yard.certificate.margins["position"].value < 0.005
+    leg = plan(parse_scenario(scenarios()["descent_step"])).plan
+    assert leg is not None
+    widest = 2 * leg.position_tube(leg.sample_times()).max()
+    assert widest == pytest.approx(59, abs=1)
+
+
+def test_the_costs_are_as_printed() -> None:
+    text = block("Costs", "yaml")
+    scenario = parse_scenario(f"{text}start: {{position: [0, 0, 1]}}\nduration: 14\n")
+    assert scenario.goal.soft is True
+    assert scenario.cost.input == [2.0, 2.0, 4.0]
+
+
+def test_the_tables_have_every_field_of_limits_and_costs() -> None:
+    for title, section in (("Limits", Limits), ("Costs", Costs)):
+        text = README.split(f"\n## {title}\n")[1].split("\n## ")[0]
+        rows = re.findall(r"^\| `(\w+): ", text, re.MULTILINE)
+        assert rows == [field.name for field in dataclasses.fields(section)]
 
 
 def test_links_to_files_lead_somewhere() -> None:

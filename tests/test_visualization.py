@@ -46,7 +46,7 @@ from dtmpc_drake.visualization.geometry import (
     tube_rings,
 )
 from dtmpc_drake.visualization.scene import ROOT, add_scene, field_corners
-from dtmpc_drake.visualization.style import Coloring, unit_of
+from dtmpc_drake.visualization.style import Coloring
 
 OBSTACLES: dict[int, list[Obstacle]] = {
     1: [Sphere([7.5], 1.0)],
@@ -134,13 +134,10 @@ def test_figures_work_for_every_order_and_size(order: int, outputs: int) -> None
     figure = plot_histories(scenario=scenario, plan=plan, flight=flight_of(plan))
     figure.draw_without_rendering()
     labels = texts(figure)
-    for label in ("(m)", "(rad/s)", "(m/s)", "time (s)", f"({unit_of(order)})"):
+    unit = scenario.model.derivative_unit(order)
+    for label in ("(m)", "(rad/s)", "(m/s)", "time (s)", f"({unit})"):
         assert label in labels
-    assert len(figure.axes) == (3 if order == 1 else 4) * outputs + 1
-
-
-def test_units_of_derivatives() -> None:
-    assert [unit_of(k) for k in (0, 1, 2, 3)] == ["m", "m/s", "m/s²", "m/s³"]
+    assert len(figure.axes) == (4 if order == 1 else 5) * outputs + 1
 
 
 def test_plan_is_seen_from_above_at_equal_scales() -> None:
@@ -218,7 +215,7 @@ def test_single_output_is_drawn_over_time() -> None:
     scenario, plan = planned(2, 1)
     axes = plot_plan(scenario=scenario, plan=plan).axes[0]
     assert axes.get_xlabel() == "time (s)"
-    assert axes.get_ylabel() == "position y (m)"
+    assert axes.get_ylabel() == "position x (m)"
     assert axes.get_ylim()[1] >= 6.5  # the obstacle ahead
 
 

@@ -18,6 +18,7 @@ from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.systems.plan_port import DeclarePlanInputPort, EvalPlan
 from dtmpc_drake.systems.wiring import AddConnected
 from dtmpc_drake.visualization.geometry import embedding
+from dtmpc_drake.visualization.scale import Scale
 from dtmpc_drake.visualization.scene import ROOT, add_scene, add_tube
 
 
@@ -85,6 +86,7 @@ class LiveView(LeafSystem):
 
     def _draw(self, context: Any) -> EventStatus:
         self._drawn = EvalPlan(self._plan, context)
+        self._scale = Scale.of(self._drawn)
         add_scene(self._meshcat, scenario=self._scenario, plan=self._drawn)
         return EventStatus.Succeeded()
 
@@ -95,5 +97,5 @@ class LiveView(LeafSystem):
         plan = EvalPlan(self._plan, context)
         if plan is not self._drawn:  # what Meshcat shows is no part of the Context
             self._drawn = plan
-            add_tube(self._meshcat, plan=plan)
+            add_tube(self._meshcat, plan=plan, scale=self._scale)
         return EventStatus.Succeeded()

@@ -25,8 +25,8 @@ class Sides:
     min: list[float | None] | None = None
     max: list[float | None] | None = None
 
-    def _both(self) -> Array:
-        """Infinite where there is none, ``(m, 2)``."""
+    def both(self) -> Array:
+        """The least and the largest value, infinite where there is none, ``(m, 2)``."""
         count = len(self.min or self.max or ())
         both = np.full((count, 2), [-np.inf, np.inf])
         for column, side in enumerate((self.min, self.max)):
@@ -38,21 +38,21 @@ class Sides:
     def normals(self, count: int) -> Array:
         """The rows a, one for every bound that there is, ``(q, count)``."""
         eye = np.eye(count)
-        return np.stack([-eye, eye], axis=1)[np.isfinite(self._both())]
+        return np.stack([-eye, eye], axis=1)[np.isfinite(self.both())]
 
     @property
     def bounds(self) -> Array:
         """The bounds b, ``(q,)``."""
-        both = self._both() * [-1.0, 1.0]
+        both = self.both() * [-1.0, 1.0]
         return both[np.isfinite(both)]
 
     def of_row(self, row: int) -> int:
         """Which of the numbers a row is about."""
-        return int(np.argwhere(np.isfinite(self._both()))[row, 0])
+        return int(np.argwhere(np.isfinite(self.both()))[row, 0])
 
     def side(self, row: int, names: Sequence[str]) -> str:
         """What a row is about, ``min of axis z``."""
-        i, column = np.argwhere(np.isfinite(self._both()))[row]
+        i, column = np.argwhere(np.isfinite(self.both()))[row]
         return f"{'min' if column == 0 else 'max'} of {names[i]}"
 
     def sides_in(self, unit: float) -> tuple[Any, Any]:
@@ -81,7 +81,7 @@ class Sides:
             for i, bound in enumerate(side):
                 if bound is not None:
                     require_magnitude(f"{field}[{i}]", bound, units[i])
-        both = self._both()
+        both = self.both()
         given = bool(np.isfinite(both).any())
         require(path, None, given, "left out, or given a min or a max that is no null")
         for i, (low, high) in enumerate(both):

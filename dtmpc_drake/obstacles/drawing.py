@@ -19,8 +19,8 @@ from dtmpc_drake.obstacles.field import ObstacleSet
 
 _UNBOUNDED = 1e-9
 """Below this relative singular value an obstacle has no end in a direction."""
-_ENDLESS = 1e4
-"""Half-width, in m, of what has no end."""
+_ENDLESS = 400.0
+"""Half-width of what has no end, in lengths of what passes it."""
 _POINTS = 600
 """Farthest points that stand for an obstacle."""
 
@@ -37,8 +37,8 @@ class Ellipse:
     """The points ``center + axes @ w`` with ``‖w‖ <= 1``, in the plane x, y.
 
     Attributes:
-        center: ``(2,)``, in m.
-        axes: ``(2, 2)``, half-axes as columns, in m; huge where unbounded.
+        center: ``(2,)``.
+        axes: ``(2, 2)``, half-axes as columns; huge where unbounded.
     """
 
     center: FloatArray
@@ -56,7 +56,7 @@ class Hull:
     """The convex hull of points in the plane x, y.
 
     Attributes:
-        points: ``(K, 2)``, in m.
+        points: ``(K, 2)``.
     """
 
     points: FloatArray
@@ -93,7 +93,7 @@ class Mesh:
     """An obstacle as triangles.
 
     Attributes:
-        vertices: ``(K, 3)``, in m.
+        vertices: ``(K, 3)``.
         faces: indices of corners, counter-clockwise from outside, ``(F, 3)``.
     """
 
@@ -125,17 +125,24 @@ def outlines(
         silhouette.
     """
     nearest = obstacles.clearance(position, position_tube, "support").argmin(axis=0)
+    length = np.ptp(position, axis=0).max() + 2 * position_tube.max()
+    endless = _ENDLESS * (float(length) or 1.0)
     shapes: list[tuple[Outline | None, Outline]] = []
     for i, k in enumerate(nearest):
         altitude = (embedding @ position[k])[2]
         band = (embedding @ position_tube[k])[2]
         draw = _ellipses if obstacles.group[i] < 0 else _hulls
-        shapes.append(draw(obstacles, i, embedding, altitude, band))
+        shapes.append(draw(obstacles, i, embedding, altitude, band, endless))
     return shapes
 
 
 def _ellipses(
-    obstacles: ObstacleSet, i: int, E: FloatArray, altitude: float, band: float
+    obstacles: ObstacleSet,
+    i: int,
+    E: FloatArray,
+    altitude: float,
+    band: float,
+    endless: float,
 ) -> tuple[Outline | None, Outline]:
     """Section and silhouette of a ball seen through an H."""
     H = obstacles.shape[i] @ E.T / obstacles.radius[i]
@@ -147,26 +154,31 @@ def _ellipses(
     left = 1.0 - rise**2 * (Q[2, 2] - Q[2, :2] @ shift)
     section = None
     if left > 0.0:
-        axes = np.sqrt(left) * _half_axes(Q[:2, :2])
+        axes = np.sqrt(left) * _half_axes(Q[:2, :2], endless)
         section = Ellipse(center[:2] - shift * rise, axes)
     shadow = Q[:2, :2]
-    if Q[2, 2] > _UNBOUNDED:
+    if Q[2, 2] * endless**2 > 1.0:
         shadow = shadow - np.outer(Q[:2, 2], Q[2, :2]) / Q[2, 2]
-    return section, Ellipse(center[:2], _half_axes(shadow))
+    return section, Ellipse(center[:2], _half_axes(shadow, endless))
 
 
-def _half_axes(Q: FloatArray) -> FloatArray:
-    """The half-axes of ``{w: wᵀ Q w <= 1}`` as columns, at most 10⁴ long."""
+def _half_axes(Q: FloatArray, longest: float) -> FloatArray:
+    """The half-axes of ``{w: wᵀ Q w <= 1}`` as columns, not longer than that."""
     values, vectors = np.linalg.eigh(Q)
-    return vectors / np.sqrt(np.maximum(values, 1e-8))
+    return vectors / np.sqrt(np.maximum(values, longest**-2))
 
 
 def _hulls(
-    obstacles: ObstacleSet, i: int, E: FloatArray, altitude: float, band: float
+    obstacles: ObstacleSet,
+    i: int,
+    E: FloatArray,
+    altitude: float,
+    band: float,
+    endless: float,
 ) -> tuple[Outline | None, Outline]:
     """Section and silhouette of any obstacle."""
-    endless = np.full(3, _ENDLESS)
-    points = _farthest_points(obstacles, i, E, -endless, endless)
+    corner = np.full(3, endless)
+    points = _farthest_points(obstacles, i, E, -corner, corner)
     z = points[:, 2]
     # The section nearest to the middle within the tube's altitudes.
     cut = np.clip((z.min() + z.max()) / 2, altitude - band, altitude + band)

@@ -6,12 +6,23 @@ planar vehicle moves in the plane z = 0 and a single output along y.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
+from dtmpc_drake.limits import PositionLimit
 from dtmpc_drake.numerics.arrays import FloatArray
 from dtmpc_drake.obstacles import ObstacleSet
 from dtmpc_drake.obstacles.drawing import Mesh, Outline, Solid, outlines, solids
+from dtmpc_drake.records.plan import Plan
+from dtmpc_drake.visualization.style import drawn_period
+
+TUBE_PERIOD = 0.05
+"""Between two rings of a drawn tube, in s."""
+NEAR = 0.12
+"""What is beside a flight by less than this part of its length is in the picture."""
+_NEAR_BOUND = 0.15  # the same of bounds of the position
 
 
 def embedding(num_outputs: int) -> FloatArray:
@@ -26,11 +37,61 @@ def missing_axes(num_outputs: int) -> FloatArray:
     return 1.0 - embedding(num_outputs).sum(axis=1)
 
 
+def tube_box(plan: Plan) -> tuple[FloatArray, FloatArray]:
+    """Two corners of a box that holds a plan's tube, ``(m,)`` each."""
+    samples = plan.sample(drawn_period(plan, TUBE_PERIOD))
+    center, half = samples["position"], samples["position_tube"]
+    return (center - half).min(axis=0), (center + half).max(axis=0)
+
+
+def position_bounds(limit: PositionLimit | None, num_outputs: int) -> FloatArray:
+    """The least and the largest position, ``(m, 2)``; infinite where there is none."""
+    if limit is None:
+        return np.tile([-np.inf, np.inf], (num_outputs, 1))
+    return limit.both()
+
+
+def near_bounds(
+    bounds: FloatArray, low: FloatArray, high: FloatArray, units: Sequence[str] = ()
+) -> FloatArray:
+    """Those bounds that are near enough to a box to be in a picture of it.
+
+    Args:
+        bounds: as from `position_bounds`, ``(m, 2)``.
+        low: one corner of the box, ``(m,)``.
+        high: the opposite corner.
+        units: of the axes, if they differ: each is measured by those of its unit.
+
+    Returns:
+        The same, ``(m, 2)``; infinite where they are further away.
+    """
+    alike = np.equal.outer(units, units) if units else np.ones(2 * low.shape, bool)
+    longest = np.where(alike, high - low, 0.0).max(axis=1)
+    away = np.stack([low, -high], axis=1) - bounds * [1.0, -1.0]
+    near = away < _NEAR_BOUND * longest[:, None]
+    return np.where(near, bounds, [-np.inf, np.inf])
+
+
 def obstacle_sections(
-    obstacles: ObstacleSet, position: FloatArray, position_tube: FloatArray
+    obstacles: ObstacleSet,
+    position: FloatArray,
+    position_tube: FloatArray,
+    order: tuple[int, int] = (0, 1),
 ) -> list[tuple[Outline | None, Outline]]:
-    """Every obstacle as seen from above; see `drawing.outlines`."""
-    return outlines(obstacles, embedding(position.shape[1]), position, position_tube)
+    """Every obstacle as seen along an axis, from above if left out.
+
+    Args:
+        obstacles: of a vehicle with two outputs or more.
+        position: y* at some times, ``(K, m)``.
+        position_tube: Ω, ``(K, m)``.
+        order: the outputs along the picture's axes, two of the first three.
+
+    Returns:
+        As `drawing.outlines`, whose x, y and z are those axes and the one looked along.
+    """
+    E = embedding(position.shape[1])
+    seen = [*order, 3 - sum(order)]
+    return outlines(obstacles, E[seen], position, position_tube)
 
 
 def obstacle_solids(

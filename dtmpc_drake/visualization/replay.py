@@ -23,7 +23,9 @@ from dtmpc_drake.records.replan import plans_in_force
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.visualization.geometry import embedding, missing_axes, travel_frames
 from dtmpc_drake.visualization.page import legend_html, with_overlay
+from dtmpc_drake.visualization.scale import Scale
 from dtmpc_drake.visualization.scene import (
+    AFAR,
     FLAT,
     ROOT,
     UNKNOWN,
@@ -33,6 +35,7 @@ from dtmpc_drake.visualization.scene import (
     add_tube,
     field_corners,
     rgba,
+    tube_paths,
 )
 from dtmpc_drake.visualization.shown import ShownFlight
 from dtmpc_drake.visualization.style import (
@@ -47,11 +50,12 @@ from dtmpc_drake.visualization.style import (
 _FRAME_RATE = 32.0  # of the animation, in 1/s
 _PAUSE = 1.5  # at the end of the flight, before it starts again, in s
 _TRAIL_PERIOD = 0.1  # length of a piece of the trail, in s
+_TRAIL = 0.024  # its radius, of the tube
 _SWARM = 40  # vehicles that fly along, about
-_BALL = 0.04  # their radius, in m
+_BALL = 0.04  # their radius, of the tube
 _CLOUD_TRAILS = 240  # trails of a cloud, and points of each: what a file can hold
 _CLOUD_POINTS = 150
-_GRAVITY = 9.81  # m/s², for the attitude of the picture only
+_GRAVITY = 9.81  # in a problem's own units, for the attitude of the picture only
 
 
 class Visible(NamedTuple):
@@ -101,7 +105,7 @@ def write_replay(
     visible = add_discoveries(
         meshcat, scenario=scenario, plan=plan, flight=flight, color_by=color_by
     )
-    add_flight(meshcat, plan=plan, flight=flight, visible=visible)
+    add_flight(meshcat, scenario=scenario, plan=plan, flight=flight, visible=visible)
     overlay = legend_html(
         scenario=scenario, plan=plan, flight=flight, color_by=color_by
     )
@@ -117,8 +121,8 @@ def add_cloud_trails(meshcat: Meshcat, *, clouds: Mapping[str, FloatArray]) -> N
 
     Args:
         meshcat: to draw into.
-        clouds: flights by the name of their group, ``(flights, K, m)``, in m; no
-            more of each than fit into a picture and a file.
+        clouds: flights by the name of their group, ``(flights, K, m)``; no more of
+            each than fit into a picture and a file.
     """
     colors = cloud_colors(clouds)
     for i, (name, flights) in enumerate(clouds.items()):
@@ -170,7 +174,9 @@ def add_discoveries(
             visible.append(Visible(f"{ROOT}/obstacles/{i}", since, np.inf))
     shown = plans_in_force(flight.replans)
     if len(shown) > 1:
-        meshcat.Delete(f"{ROOT}/plan")
+        scale = Scale.of(plan)
+        for path in tube_paths("plan", scale):
+            meshcat.Delete(path)
         plans = [s.plan for s in shown]
         for i, s in enumerate(shown):
             # All of it while it is in force, then only what was flown of it.
@@ -188,8 +194,10 @@ def add_discoveries(
                     opacity=0.75 if part == "in_force" else 0.5,
                     among=plans,
                     capped=part == "in_force",
+                    scale=scale,
                 )
-                visible.append(Visible(f"{ROOT}/{name}", since, until))
+                for path in tube_paths(name, scale):
+                    visible.append(Visible(path, since, until))
     return visible
 
 
@@ -199,41 +207,47 @@ def add_discoveries(
 def add_flight(
     meshcat: Meshcat,
     *,
+    scenario: Scenario,
     plan: Plan,
     flight: ShownFlight,
     visible: Sequence[Visible] = (),
 ) -> None:
     """Records the flight as an animation that plays at once, in a loop.
 
-    The vehicle's attitude is a picture: it leans as a quadrotor would that
+    Time in the recording is that of the flight; the page plays it `Scale.time` times
+    as fast.  The vehicle's attitude is a picture: it leans as a quadrotor would that
     flies the reference.  Some flights of the clouds fly along, as small balls.
 
     Args:
         meshcat: to record into.
+        scenario: gives the problem's own units.
         plan: drawn by `add_scene` before.
         flight: of the plan.
         visible: as from `add_discoveries`.
     """
     start, last = flight.time[0], flight.time[-1]
     end = float(last - start)
+    scale = Scale.of(plan)
     # Every frame, but of a long flight only some: the viewer interpolates.
-    every = math.ceil(drawn_period(plan, 1 / _FRAME_RATE) * _FRAME_RATE)
-    frames = np.arange(0.0, end, every / _FRAME_RATE)
-    frames = np.append(frames, [end, end + _PAUSE])
+    rate, pause = _FRAME_RATE / scale.time, _PAUSE * scale.time
+    every = math.ceil(drawn_period(plan, 1 / rate) * rate)
+    frames = np.arange(0.0, end, every / rate)
+    frames = np.append(frames, [end, end + pause])
     now = np.minimum(start + frames, last)
 
-    _add_reference_now(meshcat)
-    balls = _add_swarm(meshcat, flight, now)
+    _add_reference_now(meshcat, scale)
+    balls = _add_swarm(meshcat, flight, now, scale)
     meshcat.StartRecording(
-        frames_per_second=_FRAME_RATE, set_visualizations_while_recording=False
+        frames_per_second=rate, set_visualizations_while_recording=False
     )
-    _record_motion(meshcat, plan, flight, frames, now)
+    lean = _GRAVITY * scenario.own_units().of(2)
+    _record_motion(meshcat, plan, flight, frames, now, lean)
     for k, t in enumerate(frames):
         if k % 3 == 0 or k == len(frames) - 1:
             for path, ball in balls.items():
                 meshcat.SetTransform(path, RigidTransform(ball[k]), t)
-    for path, begin, stop in [*_add_trail(meshcat, plan, flight), *visible]:
-        _show(meshcat, path, begin - start, stop - start, end + _PAUSE)
+    for path, begin, stop in [*_add_trail(meshcat, plan, flight, scale), *visible]:
+        _show(meshcat, path, begin - start, stop - start, end + pause)
     animation = meshcat.get_mutable_recording()
     animation.set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
     animation.set_repetitions(10_000)
@@ -241,9 +255,10 @@ def add_flight(
     meshcat.PublishRecording()
 
 
-def _add_reference_now(meshcat: Meshcat) -> None:
+def _add_reference_now(meshcat: Meshcat, scale: Scale) -> None:
     """The point of the reference, and a box of half-width one around it."""
-    meshcat.SetObject(f"{ROOT}/reference_now/point", Sphere(0.035), rgba(BLACK))
+    point = Sphere(0.035 * scale.tube)
+    meshcat.SetObject(f"{ROOT}/reference_now/point", point, rgba(BLACK))
     corners = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3, indexing="ij"), axis=-1)
     ends = [np.moveaxis(corners, i, 0).reshape(2, 4, 3) for i in range(3)]
     starts, stops = (np.concatenate([e[k] for e in ends]).T for k in (0, 1))
@@ -251,7 +266,7 @@ def _add_reference_now(meshcat: Meshcat) -> None:
 
 
 def _add_swarm(
-    meshcat: Meshcat, flight: ShownFlight, now: FloatArray
+    meshcat: Meshcat, flight: ShownFlight, now: FloatArray, scale: Scale
 ) -> dict[str, FloatArray]:
     """Some flights of each cloud as small balls: their paths and where they are."""
     colors = cloud_colors(flight.clouds)
@@ -260,7 +275,8 @@ def _add_swarm(
         few = -(-_SWARM // len(flight.clouds))
         for one in flights[:few]:
             path = f"{ROOT}/cloud/vehicles/{len(balls)}"
-            meshcat.SetObject(path, Sphere(_BALL), rgba(colors[name]))
+            ball = Sphere(_BALL * scale.tube)
+            meshcat.SetObject(path, ball, rgba(colors[name]))
             E = embedding(one.shape[-1])
             balls[path] = _interpolate(now, flight.time, one) @ E.T
     return balls
@@ -272,6 +288,7 @@ def _record_motion(
     flight: ShownFlight,
     frames: FloatArray,
     now: FloatArray,
+    gravity: float,
 ) -> None:
     """Records vehicle, reference, tube and the camera that follows.
 
@@ -281,36 +298,42 @@ def _record_motion(
         flight: gives the vehicle.
         frames: since the recording began, ``(F,)``, in s.
         now: time of the flight in each frame, ``(F,)``, in s.
+        gravity: against which the vehicle leans.
     """
+    flat = FLAT * Scale.of(plan).tube
     E = embedding(plan.num_outputs)
     flown = _interpolate(now, flight.time, flight.position) @ E.T
     reference = plan.derivatives(now) @ E.T
-    half_axes = plan.position_tube(now) @ E.T + FLAT * missing_axes(plan.num_outputs)
-    attitude, chase = _attitudes(reference), travel_frames(reference[:, 1])
+    half_axes = plan.position_tube(now) @ E.T + flat * missing_axes(plan.num_outputs)
+    attitude, chase = _attitudes(reference, gravity), travel_frames(reference[:, 1])
     for k, t in enumerate(frames):
         vehicle = RigidTransform(RotationMatrix(attitude[k]), flown[k])
         meshcat.SetTransform(f"{ROOT}/vehicle", vehicle, t)
         point = RigidTransform(reference[k, 0])
         meshcat.SetTransform(f"{ROOT}/reference_now", point, t)
-        box, scale = f"{ROOT}/tube_now", np.maximum(half_axes[k], 1e-3)
+        box, scale = f"{ROOT}/tube_now", np.maximum(half_axes[k], 0.025 * flat)
         meshcat.SetTransform(box, point, t)
         meshcat.SetProperty(box, "scale", scale.tolist(), t)
         camera = RigidTransform(RotationMatrix(chase[k]), reference[k, 0])
         meshcat.SetTransform(f"{ROOT}/chase", camera, t)
 
 
-def _add_trail(meshcat: Meshcat, plan: Plan, flight: ShownFlight) -> list[Visible]:
+def _add_trail(
+    meshcat: Meshcat, plan: Plan, flight: ShownFlight, scale: Scale
+) -> list[Visible]:
     """What was flown, in pieces that are seen from their ends on."""
     start, last = flight.time[0], flight.time[-1]
     E = embedding(plan.num_outputs)
-    times = np.arange(start, last, drawn_period(plan, _TRAIL_PERIOD))
+    period = drawn_period(plan, _TRAIL_PERIOD * scale.time)
+    times = np.arange(start, last, period)
     pieces = []
     for i, (begin, stop) in enumerate(itertools.pairwise(np.append(times, last))):
         now = np.linspace(begin, stop, 6)
         points = _interpolate(now, flight.time, flight.position) @ E.T
-        path = f"{ROOT}/trail/{i}"
-        add_pipe(meshcat, path, points, VERMILION, 0.024)
-        pieces.append(Visible(path, stop, np.inf))
+        for path in tube_paths(f"trail/{i}", scale):
+            unit = scale.field if path.startswith(AFAR) else scale.tube
+            add_pipe(meshcat, path, points, VERMILION, _TRAIL * unit)
+            pieces.append(Visible(path, stop, np.inf))
     return pieces
 
 
@@ -325,17 +348,18 @@ def _interpolate(now: FloatArray, time: FloatArray, values: FloatArray) -> Float
     return np.stack([np.interp(now, time, column) for column in values.T], axis=-1)
 
 
-def _attitudes(reference: FloatArray) -> FloatArray:
+def _attitudes(reference: FloatArray, gravity: float) -> FloatArray:
     """Rotations whose third axis is the thrust and whose first looks ahead.
 
     Args:
         reference: embedded y* and its derivatives, ``(K, n + 1, 3)``.
+        gravity: what the thrust is against.
 
     Returns:
         Shape ``(K, 3, 3)``.
     """
     forward = travel_frames(reference[:, 1] * [1.0, 1.0, 0.0])[:, :, 0]
-    thrust = np.tile([0.0, 0.0, _GRAVITY], (len(forward), 1))
+    thrust = np.tile([0.0, 0.0, gravity], (len(forward), 1))
     if reference.shape[1] > 2:
         thrust = thrust + reference[:, 2]
     up = thrust / np.linalg.norm(thrust, axis=1, keepdims=True)

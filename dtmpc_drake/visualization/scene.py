@@ -19,15 +19,21 @@ from dtmpc_drake.obstacles.drawing import Mesh
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.visualization.geometry import (
+    TUBE_PERIOD,
     embedding,
     missing_axes,
+    near_bounds,
     obstacle_solids,
+    position_bounds,
     swept_mesh,
     travel_frames,
+    tube_box,
     tube_rings,
 )
+from dtmpc_drake.visualization.scale import Scale
 from dtmpc_drake.visualization.style import (
     BLACK,
+    FENCE,
     GHOST,
     GREEN,
     GREY,
@@ -39,13 +45,15 @@ from dtmpc_drake.visualization.style import (
 )
 
 ROOT = "/dtmpc"
-"""Everything drawn here is below this path."""
+"""Everything drawn here is below this path, in the problem's units; see `Scale`."""
+AFAR = f"{ROOT}/afar"
+"""What the page hides in the view that follows the vehicle."""
 POLE = 1.0
-"""By how much the pole of a goal that need not be met is above it, in m."""
+"""By how much the pole of a goal that need not be met is above it, of the field."""
 FLAT = 0.04
-"""Half-thickness along axes that the vehicle does not have, in m."""
+"""Half-thickness along axes that the vehicle does not have, of the tube."""
 
-_TUBE_PERIOD = 0.05  # between two rings of the tube, in s
+_WIDE = 0.05  # half-width of a thin tube from afar, at least, of the field
 _FIELD_OF_VIEW = 36.0  # vertical, in degrees
 
 
@@ -77,32 +85,37 @@ def add_scene(
 ) -> None:
     """Draws everything that does not move, and the vehicle at the start."""
     meshcat.Delete(ROOT)
+    scale = Scale.of(plan)
+    meshcat.SetTransform(ROOT, np.diag([*[1 / scale.field] * 3, 1.0]))
     low, high = field_corners(scenario, plan)
-    add_field(meshcat, scenario=scenario, low=low, high=high)
+    add_field(meshcat, scenario=scenario, low=low, high=high, scale=scale)
+    fences = shown_fences(scenario, plan)
+    add_fences(meshcat, fences=fences, low=low, high=high)
     add_obstacles(meshcat, scenario=scenario, low=low, high=high)
-    add_tube(meshcat, plan=plan, color_by=color_by)
+    add_tube(meshcat, plan=plan, color_by=color_by, scale=scale)
     add_vehicle(
-        meshcat, num_outputs=plan.num_outputs, radius=vehicle_radius(scenario, plan)
+        meshcat,
+        num_outputs=plan.num_outputs,
+        radius=vehicle_radius(scenario, plan),
+        flat=FLAT * scale.tube,
     )
     E = embedding(plan.num_outputs)
     start = RigidTransform(E @ plan.reference(plan.start_time)[0])
     meshcat.SetTransform(f"{ROOT}/vehicle", start)
-    set_camera(meshcat, low=low, high=high)
+    set_camera(meshcat, low=low / scale.field, high=high / scale.field)
 
 
 def field_corners(scenario: Scenario, plan: Plan) -> tuple[FloatArray, FloatArray]:
-    """Two corners of the picture's field, ``(3,)`` each, in m.
+    """Two corners of the picture's field, ``(3,)`` each.
 
-    It holds the tube and the obstacles near it, with some air around.  Its floor
-    is the ground, z = 0, unless something flies below; its ceiling is just above
+    It holds the tube, and the obstacles and fences near it, with some air around.  Its
+    floor is the ground, z = 0, unless something flies below; its ceiling is just above
     the highest reference, so that cylinders without an end do not hide what
     flies between them.  A vehicle in the plane gets a little of both.
     """
-    E = embedding(plan.num_outputs)
-    samples = plan.sample(drawn_period(plan, _TUBE_PERIOD))
-    center, half = samples["position"] @ E.T, samples["position_tube"] @ E.T
-    low, high = (center - half).min(axis=0), (center + half).max(axis=0)
-    reach = max(2.0, 0.1 * float((high - low).max()))
+    E, scale = embedding(plan.num_outputs), Scale.of(plan)
+    low, high = (E @ corner for corner in tube_box(plan))
+    reach = max(2.0 * scale.field, 0.1 * float((high - low).max()))
     bounds = [(low, high)]
     for solid in obstacle_solids(scenario.obstacle_set(), plan.num_outputs, low, high):
         lowest, highest = solid.bounds()
@@ -111,18 +124,84 @@ def field_corners(scenario: Scenario, plan: Plan) -> tuple[FloatArray, FloatArra
             bounds.append((lowest, highest))
     low = np.min([np.maximum(b[0], low - reach) for b in bounds], axis=0)
     high = np.max([np.minimum(b[1], high + reach) for b in bounds], axis=0)
-    air = np.array([0.5, 0.5, 0.0])
+    low, high = _with_fences(low, high, shown_fences(scenario, plan))
+    air = scale.field * np.array([0.5, 0.5, 0.0])
     low, high = low - air, high + air
-    low[2], high[2] = min(low[2], 0.0), center[:, 2].max() + 0.05
+    highest = (plan.reference(_ring_times(plan))[:, 0] @ E.T)[:, 2].max()
+    low[2], high[2] = min(low[2], 0.0), highest + 0.05 * scale.field
     if plan.num_outputs < 3:
-        low[2], high[2] = -3 * FLAT, 3 * FLAT
+        low[2], high[2] = -3 * FLAT * scale.tube, 3 * FLAT * scale.field
     return low, high
 
 
-def add_field(
-    meshcat: Meshcat, *, scenario: Scenario, low: FloatArray, high: FloatArray
+def shown_fences(scenario: Scenario, plan: Plan) -> FloatArray:
+    """Bounds of the position near a plan, ``(3, 2)``; infinite where there are none."""
+    m, units = plan.num_outputs, scenario.model.output_units
+    bounds = position_bounds(scenario.limits.position, m)
+    near = near_bounds(bounds, *tube_box(plan), units)
+    axis, output = np.nonzero(embedding(m))
+    fences = np.tile([-np.inf, np.inf], (3, 1))
+    fences[axis] = near[output]
+    return fences
+
+
+def _with_fences(
+    low: FloatArray, high: FloatArray, fences: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """A box that reaches to all fences around it."""
+    least, largest = fences.T
+    low = np.where(np.isfinite(least), np.minimum(low, least), low)
+    high = np.where(np.isfinite(largest), np.maximum(high, largest), high)
+    return low, high
+
+
+def add_fences(
+    meshcat: Meshcat, *, fences: FloatArray, low: FloatArray, high: FloatArray
 ) -> None:
-    """A light ground with a grid, start and goal, on a light background."""
+    """Floor, ceiling and walls as thin sheets with a frame, across the field.
+
+    One looks through the ceiling, so it is the faintest.
+
+    Args:
+        meshcat: to draw into.
+        fences: as from `shown_fences`, ``(3, 2)``.
+        low: one corner of the field, ``(3,)``, as from `field_corners`.
+        high: the opposite corner.
+    """
+    inside = np.where(np.isfinite(fences.T), fences.T, [low, high])
+    for axis, side in np.argwhere(np.isfinite(fences)):
+        corners = inside.copy()
+        corners[:, axis] = fences[axis, side]
+        size = corners[1] - corners[0]
+        size[axis] = 1e-4 * float(size.max())
+        path = f"{ROOT}/fences/{'xyz'[axis]}{'min' if side == 0 else 'max'}"
+        opacity = 0.05 if (axis, side) == (2, 1) else 0.14
+        meshcat.SetObject(f"{path}/sheet", Box(*size), rgba(FENCE, opacity))
+        meshcat.SetTransform(f"{path}/sheet", RigidTransform(corners.mean(axis=0)))
+        meshcat.SetProperty(f"{path}/sheet/<object>", "material.depthWrite", False)
+        a, b = (i for i in range(3) if i != axis)
+        frame = np.tile(corners[0], (5, 1))
+        frame[[1, 2], a], frame[[2, 3], b] = corners[1, a], corners[1, b]
+        meshcat.SetLine(f"{path}/frame", frame.T, 1.5, rgba(FENCE))
+
+
+def add_field(
+    meshcat: Meshcat,
+    *,
+    scenario: Scenario,
+    low: FloatArray,
+    high: FloatArray,
+    scale: Scale,
+) -> None:
+    """A light ground with a grid, start and goal, on a light background.
+
+    Args:
+        meshcat: to draw into.
+        scenario: gives start and goal.
+        low: one corner of the field, ``(3,)``, as from `field_corners`.
+        high: the opposite corner.
+        scale: of the picture.
+    """
     meshcat.SetProperty("/Grid", "visible", False)
     meshcat.SetProperty("/Axes", "visible", False)
     background = "/Background/<object>"
@@ -134,16 +213,17 @@ def add_field(
     meshcat.SetProperty("/Lights/AmbientLight/<object>", "intensity", 2.0)
     meshcat.SetProperty("/Lights/FillLight/<object>", "intensity", 1.6)
     meshcat.SetProperty("/Lights/FillLight/<object>", "position", [8.0, -6.0, 12.0])
-    low, high = np.floor(low), np.append(np.ceil(high[:2]), high[2])
+    one = scale.field
+    low, high = one * np.floor(low / one), one * np.ceil(high / one)
     size, middle = high - low, (low + high) / 2
     meshcat.SetObject(
-        f"{ROOT}/field/ground", Box(size[0], size[1], 0.02), Rgba(1.0, 1.0, 0.99)
+        f"{ROOT}/field/ground", Box(size[0], size[1], 0.02 * one), Rgba(1.0, 1.0, 0.99)
     )
-    meshcat.SetTransform(
-        f"{ROOT}/field/ground", RigidTransform([middle[0], middle[1], low[2] - 0.03])
-    )
-    x, y = (np.arange(low[i], high[i] + 0.5, grid_spacing(size)) for i in (0, 1))
-    z = low[2] - 0.015
+    where = [middle[0], middle[1], low[2] - 0.03 * one]
+    meshcat.SetTransform(f"{ROOT}/field/ground", RigidTransform(where))
+    lines = grid_spacing(size, scale)
+    x, y = (np.arange(low[i], high[i] + 0.5 * one, lines) for i in (0, 1))
+    z = low[2] - 0.015 * one
     starts = [[v, low[1], z] for v in x] + [[low[0], v, z] for v in y]
     ends = [[v, high[1], z] for v in x] + [[high[0], v, z] for v in y]
     meshcat.SetLineSegments(
@@ -158,21 +238,22 @@ def add_field(
         ("start", scenario.start_state(), GREEN),
         ("goal", scenario.goal_state(), PALE_GREEN if scenario.goal_is_soft else GREEN),
     ):
-        where = E @ state[0]
-        where[2] = z
-        meshcat.SetObject(f"{ROOT}/field/{name}", Cylinder(0.3, 0.01), rgba(color))
-        meshcat.SetTransform(f"{ROOT}/field/{name}", RigidTransform(where))
+        place = E @ state[0]
+        place[2] = z
+        disc = Cylinder(0.3 * one, 0.01 * one)
+        meshcat.SetObject(f"{ROOT}/field/{name}", disc, rgba(color))
+        meshcat.SetTransform(f"{ROOT}/field/{name}", RigidTransform(place))
     if scenario.goal_is_soft:  # its disc may be hidden by the tube's end
-        height = (E @ scenario.goal_state()[0])[2] + POLE - z
+        height = (E @ scenario.goal_state()[0])[2] + POLE * one - z
         pole = f"{ROOT}/field/goal/pole"
-        meshcat.SetObject(pole, Cylinder(0.04, height), rgba(PALE_GREEN))
+        meshcat.SetObject(pole, Cylinder(0.04 * one, height), rgba(PALE_GREEN))
         meshcat.SetTransform(pole, RigidTransform([0.0, 0.0, height / 2]))
 
 
-def grid_spacing(size: FloatArray) -> float:
-    """Of the lines on the ground, in m: about thirty along the field."""
+def grid_spacing(size: FloatArray, scale: Scale) -> float:
+    """Of the lines on the ground: about thirty along the field."""
     rough = float(size.max()) / 40.0
-    return max(1.0, float(10 ** np.ceil(np.log10(max(rough, 1e-9)))))
+    return max(scale.field, float(10 ** np.ceil(np.log10(max(rough, 1e-9)))))
 
 
 def add_obstacles(
@@ -219,13 +300,15 @@ def add_tube(
     opacity: float = 0.75,
     among: Sequence[Plan] = (),
     capped: bool = True,
+    scale: Scale | None = None,
 ) -> None:
     """The reference as a line and the tube around it as a coloured surface.
 
     The tube is the box ``|ỹ_i| <= Ω_i`` swept along the reference.  Across the
     travel it is drawn as the rectangle that just holds the box, one side
     horizontal: exactly the box's silhouette on level flight, and never smaller.
-    The half above the reference is faint, so that one looks into the tube.
+    The half above the reference is faint, so that one looks into the tube.  One that
+    is too thin to be seen from afar is also drawn wider, below `AFAR`.
 
     Args:
         meshcat: to draw into.
@@ -235,13 +318,37 @@ def add_tube(
         opacity: of the lower half.
         among: plans that share their colours.
         capped: whether the tube's ends are closed.
+        scale: of the picture; as the plan alone would have it if left out.
     """
-    time = plan.sample_times(drawn_period(plan, _TUBE_PERIOD))
+    scale = Scale.of(plan) if scale is None else scale
+    coloring = Coloring.along(plan, _ring_times(plan), color_by, among)
+    nearby, *afar = tube_paths(name, scale)
+    _add_tube(meshcat, nearby, plan, coloring, opacity, capped, scale)
+    for path in afar:
+        _add_tube(meshcat, path, plan, coloring, opacity, capped, scale.from_afar)
+
+
+def tube_paths(name: str, scale: Scale) -> list[str]:
+    """Where a tube of this name is drawn: as it is and, if it is thin, for afar."""
+    return [f"{ROOT}/{name}", *([f"{AFAR}/{name}"] if scale.tube_is_thin else [])]
+
+
+def _add_tube(
+    meshcat: Meshcat,
+    path: str,
+    plan: Plan,
+    coloring: Coloring,
+    opacity: float,
+    capped: bool,
+    scale: Scale,
+) -> None:
+    time = _ring_times(plan)
     reference = plan.derivatives(time) @ embedding(plan.num_outputs).T
     half_axes = plan.position_tube(time) @ embedding(plan.num_outputs).T
-    half_axes = half_axes + FLAT * missing_axes(plan.num_outputs)
+    half_axes = half_axes + FLAT * scale.tube * missing_axes(plan.num_outputs)
+    if path.startswith(AFAR):
+        half_axes = np.maximum(half_axes, _WIDE * scale.field)
     position, velocity = reference[:, 0], reference[:, 1]
-    coloring = Coloring.along(plan, time, color_by, among)
     rings = tube_rings(position, velocity, half_axes)
     middle = (rings + rings[:, [1, 0, 3, 2]]) / 2
     upper = np.stack([middle[:, 0], rings[:, 0], rings[:, 3], middle[:, 3]], axis=1)
@@ -250,34 +357,39 @@ def add_tube(
         ("lower", lower, opacity),
         ("upper", upper, 0.25 * opacity),
     ):
-        path = f"{ROOT}/{name}/tube/{half}"
+        part = f"{path}/tube/{half}"
         vertices, faces = swept_mesh(shell, closed=False, capped=capped)
         colors = _linear(coloring.rgb(coloring.values)).repeat(shell.shape[1], axis=0)
-        meshcat.SetTriangleColorMesh(path, vertices.T, faces.T, colors.T)
-        meshcat.SetProperty(path, "opacity", alpha)
+        meshcat.SetTriangleColorMesh(part, vertices.T, faces.T, colors.T)
+        meshcat.SetProperty(part, "opacity", alpha)
         # What is behind a translucent wall must not vanish.
-        meshcat.SetProperty(f"{path}/<object>", "material.depthWrite", False)
-    add_pipe(meshcat, f"{ROOT}/{name}/reference", position, BLACK, 0.011)
+        meshcat.SetProperty(f"{part}/<object>", "material.depthWrite", False)
+    add_pipe(meshcat, f"{path}/reference", position, BLACK, 0.011 * scale.tube)
 
 
 def add_vehicle(
-    meshcat: Meshcat, *, num_outputs: int, radius: float, name: str = "vehicle"
+    meshcat: Meshcat,
+    *,
+    num_outputs: int,
+    radius: float,
+    flat: float = FLAT,
+    name: str = "vehicle",
 ) -> None:
     """A quadrotor (in three dimensions) or a puck; the model itself is a point.
 
     Args:
         meshcat: to draw into.
         num_outputs: m.
-        radius: half the width of the picture of it, in m.
+        radius: half the width of the picture of it.
+        flat: half-thickness of the tube that a puck is on.
         name: of the group, which `add_flight` moves.
     """
     path = f"{ROOT}/{name}"
     dark, bright = rgba(BLACK), rgba(VERMILION)
     if num_outputs < 3:
         meshcat.SetObject(f"{path}/body", Cylinder(radius, 0.3 * radius), bright)
-        meshcat.SetTransform(
-            f"{path}/body", RigidTransform([0.0, 0.0, FLAT + 0.15 * radius])
-        )
+        on_the_tube = RigidTransform([0.0, 0.0, flat + 0.15 * radius])
+        meshcat.SetTransform(f"{path}/body", on_the_tube)
         return
     meshcat.SetObject(
         f"{path}/body", Ellipsoid(0.42 * radius, 0.3 * radius, 0.2 * radius), bright
@@ -309,13 +421,24 @@ def add_vehicle(
 
 def vehicle_radius(scenario: Scenario, plan: Plan) -> float:
     """So that the picture of the vehicle fits through the narrowest place."""
-    position = plan.reference(plan.sample_times(drawn_period(plan, _TUBE_PERIOD)))[:, 0]
-    distance = scenario.obstacle_set().clearance(position)
-    return float(np.clip(0.85 * np.min(distance, initial=np.inf), 0.1, 0.25))
+    position = plan.reference(_ring_times(plan))[:, 0]
+    nearest = np.min(scenario.obstacle_set().clearance(position), initial=np.inf)
+    unit = Scale.of(plan).tube
+    return float(np.clip(0.85 * nearest, 0.1 * unit, 0.25 * unit))
+
+
+def _ring_times(plan: Plan) -> FloatArray:
+    return plan.sample_times(drawn_period(plan, TUBE_PERIOD))
 
 
 def set_camera(meshcat: Meshcat, *, low: FloatArray, high: FloatArray) -> None:
-    """Looks at the whole field, with its long axis across the picture."""
+    """Looks at the whole field, with its long axis across the picture.
+
+    Args:
+        meshcat: to set the camera of.
+        low: one corner of the field, ``(3,)``, in the unit of the scene.
+        high: the opposite corner.
+    """
     along_y = high[1] - low[1] >= high[0] - low[0]
     azimuth = np.deg2rad(-12.0 if along_y else -102.0)
     elevation = np.deg2rad(42.0)

@@ -1,4 +1,4 @@
-"""Colours and units that the replay and the figures share."""
+"""Colours that the replay and the figures share."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ VERMILION = "#D55E00"
 PALE_BLUE = "#E4F0F8"
 GREEN = "#009E73"
 PALE_GREEN = "#8FD3BF"
+PALER_GREEN = "#E2F4EE"
 ORANGE = "#E69F00"
 PURPLE = "#CC79A7"
 SKY_BLUE = "#56B4E9"
@@ -28,6 +29,7 @@ BLACK = "#1A1A1A"
 GREY = "#9A9A9A"
 EDGE = "#555555"
 LIGHT_GREY = "#D9D9D9"
+FENCE = "#6B6FA8"  # of bounds of the position in a scene
 GHOST = "#7FA8C9"  # of obstacles that are not known yet
 
 # Clouds of flights: the last one is drawn on top, in the blue of a single one.
@@ -36,15 +38,18 @@ _CLOUDS = (SKY_BLUE, PURPLE, ORANGE, GREEN, BLUE)
 # Both are perceptually uniform: dark blue to yellow, and dark to peach.
 _RANGES = {"bandwidth": ("viridis", 0.12, 1.0), "speed": ("magma", 0.08, 0.86)}
 
-_MOST_SAMPLES = 4000  # of a drawn plan: more than any picture shows
+_LEAST_SAMPLES = 100  # of a drawn plan: fewer would show corners
+_MOST_SAMPLES = 4000  # more than any picture shows
 
 
 def drawn_period(plan: Plan, period: float) -> float:
     """The period to draw a plan with, in s: a longer one where the plan is long.
 
-    Else the time and the size of a picture would grow with a flight without end.
+    Else the time and the size of a picture would grow with a flight without end.  A
+    shorter one where it is short.
     """
-    return max(period, (plan.end_time - plan.start_time) / _MOST_SAMPLES)
+    duration = plan.end_time - plan.start_time
+    return float(np.clip(period, duration / _MOST_SAMPLES, duration / _LEAST_SAMPLES))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -53,7 +58,7 @@ class Coloring:
 
     Attributes:
         label: of the colour bar, without the unit.
-        unit: of the values.
+        unit: of the values, for a reader.
         values: one per sample, ``(K,)``.
         low, high: values at both ends of the colour map.
         colormap: from `low` to `high`.
@@ -73,6 +78,7 @@ class Coloring:
         time: FloatArray,
         color_by: ColorBy,
         among: Sequence[Plan] = (),
+        speed_unit: str = "",
     ) -> Coloring:
         """The colours of a plan at some times.
 
@@ -82,6 +88,7 @@ class Coloring:
             color_by: ``bandwidth``, the largest α over the outputs, or
                 ``speed``, the norm of the reference's velocity.
             among: plans whose ranges count instead of this one's.
+            speed_unit: for a reader, as from `Model.derivative_unit`.
 
         Raises:
             ValueError: if `color_by` is neither.
@@ -91,7 +98,7 @@ class Coloring:
             label += " (largest over the axes)" if plan.num_outputs > 1 else ""
             unit = "rad/s"
         elif color_by == "speed":
-            label, unit = "speed", unit_of(1)
+            label, unit = "speed", speed_unit
         else:
             raise ValueError(f"color_by: got {color_by!r}, not bandwidth or speed")
         every = np.concatenate(
@@ -129,16 +136,3 @@ def cloud_colors(names: Iterable[str]) -> dict[str, str]:
     listed = list(names)
     first = len(_CLOUDS) - len(listed)
     return {n: _CLOUDS[i % len(_CLOUDS)] for i, n in enumerate(listed, start=first)}
-
-
-def unit_of(derivative: int) -> str:
-    """The unit of a derivative of an output: m, m/s, m/s², ..."""
-    powers = str(derivative).translate(str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹"))
-    return {0: "m", 1: "m/s"}.get(derivative, f"m/s{powers}")
-
-
-def axis_name(output: int, num_outputs: int) -> str:
-    """What an output is called: x, y, z of a vehicle, or just a number."""
-    if num_outputs == 1:
-        return "y"
-    return "xyz"[output] if num_outputs <= 3 else f"y{output + 1}"

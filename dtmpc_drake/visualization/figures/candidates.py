@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
@@ -15,7 +16,7 @@ from matplotlib.patches import Patch
 from dtmpc_drake.records.candidate import Candidate
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import Scenario
-from dtmpc_drake.visualization.figures.view import WIDTH, View
+from dtmpc_drake.visualization.figures.view import WIDTH, View, fence_handles
 from dtmpc_drake.visualization.style import (
     BLACK,
     EDGE,
@@ -60,8 +61,9 @@ def plot_candidates(
     colors = Normalize(np.log(costs.min()), np.log(1.05 * costs.max()))
     low, high = view.window()
     lines = [view.seen(c.path) for c in candidates]
-    low = np.min([low, *(line.min(axis=0) - 0.2 for line in lines)], axis=0)
-    high = np.max([high, *(line.max(axis=0) + 0.2 for line in lines)], axis=0)
+    air = 0.008 * float((high - low).max())
+    low = np.min([low, *(line.min(axis=0) - air for line in lines)], axis=0)
+    high = np.max([high, *(line.max(axis=0) + air for line in lines)], axis=0)
     width, height = high - low
     rise = float(np.clip(0.9 * WIDTH * height / width, 1.0, 6.0))
     figure = Figure(figsize=(WIDTH, rise + 3.3), dpi=150, layout="constrained")
@@ -76,7 +78,7 @@ def plot_candidates(
         else:
             field.plot(*line.T, color=GREY, lw=0.8, ls=":", zorder=3.4)
     for number, (_, silhouette) in enumerate(view.obstacles):
-        middle = view.seen(silhouette.outline()).mean(axis=0)
+        middle = silhouette.outline().mean(axis=0)
         if (middle > low).all() and (middle < high).all():
             field.annotate(f"{number}", middle, ha="center", va="center", color="white")
     _draw_bars(bars, good[:_MOST], colors)
@@ -86,11 +88,12 @@ def plot_candidates(
     notes += [f"{left_out} more are not shown"] if left_out else []
     notes += [f"{blocked} cannot keep the constraints"] if blocked else []
     bars.set_title("; ".join(notes), fontsize=9)
-    handles = [
+    handles: list[Artist] = [
         Line2D([], [], color=BLACK, lw=2.6, label="chosen reference"),
         Patch(fc=PALE_BLUE, ec=BLACK, label="its tube"),
         Line2D([], [], color=_COSTS(0.5), lw=1.2, alpha=0.7, label="alternatives"),
         Patch(fc=GREY, ec=EDGE, label="obstacle"),
+        *fence_handles(bool(view.fences((low, high)))),
     ]
     figure.legend(
         handles=handles, loc="outside upper center", ncols=len(handles), frameon=False

@@ -65,5 +65,6 @@ def plot_plans(
             axes.tick_params(labelbottom=False)
     figure.supxlabel(note, fontsize=9, x=0.05, ha="left")
     add_color_bar(figure, grid, views[-1].coloring)
-    add_legend(figure, scenario, views[-1].coloring)
+    fenced = bool(views[-1].fences(window))
+    add_legend(figure, scenario, views[-1].coloring, fenced=fenced)
     return figure

@@ -23,6 +23,7 @@ from dtmpc_drake.visualization.figures.view import (
     View,
     Window,
     add_color_bar,
+    fence_handles,
     joint_window,
 )
 from dtmpc_drake.visualization.style import (
@@ -101,6 +102,7 @@ def plot_receding_horizon(
         Line2D([], [], color=VERMILION, lw=1.2, label="flown"),
         Patch(fc=GREY, ec=EDGE, label="known obstacle"),
         Patch(fc=LIGHT_GREY, label="not known yet", **_UNKNOWN),
+        *fence_handles(bool(views[-1].fences(window))),
     ]
     figure.legend(
         handles=handles, loc="outside upper center", ncols=len(handles), frameon=False
@@ -125,7 +127,7 @@ def _draw_known(
     with_flight.draw(axes, window)
     for (_, silhouette), is_known in zip(view.obstacles, known, strict=True):
         if not is_known:
-            outline = view.seen(silhouette.outline())
+            outline = silhouette.outline()
             axes.add_patch(Polygon(outline, fc=LIGHT_GREY, ec="none", zorder=1))
             # Above the tube: the plan does not know what it cuts into.
             axes.add_patch(Polygon(outline, fill=False, zorder=3, **_UNKNOWN))

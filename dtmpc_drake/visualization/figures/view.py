@@ -1,4 +1,4 @@
-"""A plan from above: what several figures draw, and how."""
+"""A plan from above or from the side: what several figures draw, and how."""
 
 from __future__ import annotations
 
@@ -18,12 +18,19 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, PathPatch, Polygon
 from matplotlib.path import Path
 
+from dtmpc_drake.models import Model
 from dtmpc_drake.numerics.arrays import FloatArray
 from dtmpc_drake.obstacles.drawing import Outline
 from dtmpc_drake.records.plan import Plan
 from dtmpc_drake.scenario import Scenario
 from dtmpc_drake.visualization.figures.cloud import Cloud
-from dtmpc_drake.visualization.geometry import obstacle_sections, swept_boxes
+from dtmpc_drake.visualization.geometry import (
+    NEAR,
+    near_bounds,
+    obstacle_sections,
+    position_bounds,
+    swept_boxes,
+)
 from dtmpc_drake.visualization.style import (
     BLACK,
     EDGE,
@@ -32,7 +39,6 @@ from dtmpc_drake.visualization.style import (
     PALE_BLUE,
     ColorBy,
     Coloring,
-    axis_name,
     drawn_period,
 )
 
@@ -50,28 +56,36 @@ _GOAL: dict[str, Any] = {
     "zorder": 5,
 }
 
+_OUT_OF_BOUNDS: dict[str, Any] = {"fc": "white", "ec": GREY, "hatch": "////", "lw": 0}
+
+_MANY_DIGITS = 1e5
+
 Window = tuple[FloatArray, FloatArray]
 """Two corners of what is seen, ``(2,)`` each, in m."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class View:
-    """What a look from above shows, in any window.
+    """What a look along an axis shows, in any window.
 
     Attributes:
         samples: of the plan, as from `Plan.sample`.
-        order: the outputs along the horizontal and the vertical axis: the longer of
-            the first two goes to the right.
+        order: the outputs along the horizontal and the vertical axis.
+        labels: of both axes.
         coloring: of the samples.
-        obstacles: sections (None if passed above or below) and silhouettes.
+        obstacles: sections (None if passed before or behind) and silhouettes, as they
+            are seen.
+        bounds: the least and the largest position, ``(m, 2)``; infinite for none.
         clouds: flights, in the vehicle's own order of axes.
         goal: its position, ``(m,)``, where a plan need not end there.
     """
 
     samples: dict[str, FloatArray]
     order: tuple[int, int]
+    labels: tuple[str, str]
     coloring: Coloring
     obstacles: list[tuple[Outline | None, Outline]]
+    bounds: FloatArray
     clouds: Sequence[Cloud] = ()
     goal: FloatArray | None = None
 
@@ -86,10 +100,12 @@ class View:
         clouds: Sequence[Cloud] = (),
         period: float = PERIOD,
     ) -> View:
-        """A look at a plan with two outputs or more.
+        """A look from above at a plan with two outputs or more.
+
+        The longer one of the first two goes to the right.
 
         Args:
-            scenario: gives the obstacles, and a goal that is soft.
+            scenario: gives the obstacles, bounds, and a goal that is soft.
             plan: a plan, or an infeasible attempt.
             color_by: ``bandwidth`` or ``speed``.
             among: plans that share their colours.
@@ -99,13 +115,31 @@ class View:
         samples = plan.sample(drawn_period(plan, period))
         position, tube = samples["position"], samples["position_tube"]
         along_y = np.ptp(position[:, 1]) >= np.ptp(position[:, 0])
+        order = (1, 0) if along_y else (0, 1)
+        model = scenario.model
         return cls(
             samples=samples,
-            order=(1, 0) if along_y else (0, 1),
-            coloring=Coloring.along(plan, samples["time"], color_by, among),
-            obstacles=obstacle_sections(scenario.obstacle_set(), position, tube),
+            order=order,
+            labels=_labels(model, order),
+            coloring=Coloring.along(
+                plan, samples["time"], color_by, among, model.derivative_unit(1)
+            ),
+            obstacles=obstacle_sections(scenario.obstacle_set(), position, tube, order),
+            bounds=position_bounds(scenario.limits.position, plan.num_outputs),
             clouds=clouds,
             goal=scenario.goal_state()[0] if scenario.goal_is_soft else None,
+        )
+
+    def from_the_side(self, scenario: Scenario) -> View:
+        """The same with the third output upwards, of a plan that has one."""
+        order = (self.order[0], 2)
+        position, tube = self.samples["position"], self.samples["position_tube"]
+        obstacles = scenario.obstacle_set()
+        return dataclasses.replace(
+            self,
+            order=order,
+            labels=_labels(scenario.model, order),
+            obstacles=obstacle_sections(obstacles, position, tube, order),
         )
 
     @property
@@ -123,17 +157,22 @@ class View:
         return points[..., list(self.order)]
 
     def window(self) -> Window:
-        """Corners that hold the tube and the obstacles beside it."""
+        """Corners that hold the tube, and the obstacles and fences beside it."""
         low, high = self.center - self.half, self.center + self.half
         low, high = low.min(axis=0), high.max(axis=0)
-        reach = 0.12 * float((high - low).max())
-        lows, highs = [low], [high]
+        reach = NEAR * float((high - low).max())
+        fences = near_bounds(self.bounds[list(self.order)], low, high).T
+        near = np.isfinite(fences)
+        first, last = np.where(near, fences, [low, high])
+        lows, highs = [low, first], [high, last]
+        # There is no need to see far beyond them.
+        least, largest = np.where(near, fences, [low - reach, high + reach])
         for _, silhouette in self.obstacles:
-            outline = self.seen(silhouette.outline())
+            outline = silhouette.outline()
             a, b = outline.min(axis=0), outline.max(axis=0)
             if (a < high + reach).all() and (b > low - reach).all():
-                lows.append(np.maximum(a, low - reach))
-                highs.append(np.minimum(b, high + reach))
+                lows.append(np.maximum(a, least))
+                highs.append(np.minimum(b, largest))
         if self.goal is not None:
             goal = self.seen(self.goal)
             if (goal < high + reach).all() and (goal > low - reach).all():
@@ -142,6 +181,20 @@ class View:
         low, high = np.min(lows, axis=0), np.max(highs, axis=0)
         margin = 0.012 * float((high - low).max())
         return low - margin, high + margin
+
+    def fences(self, window: Window) -> list[tuple[int, float, float]]:
+        """The bounds in a window: axis of the picture, where it is, which way is out.
+
+        Args:
+            window: that is seen.
+        """
+        bounds = self.bounds[list(self.order)]
+        return [
+            (axis, float(bounds[axis, side]), out)
+            for axis in (0, 1)
+            for side, out in enumerate((-1.0, 1.0))
+            if window[0][axis] < bounds[axis, side] < window[1][axis]
+        ]
 
     def draw(
         self,
@@ -152,11 +205,13 @@ class View:
         colored: bool = True,
     ) -> None:
         """Draws the part in a window; the reference in colours or black."""
+        low, high = window
+        alike = 4e-5 * float((high - low).max())
         for section, silhouette in self.obstacles:
-            outline = self.seen(silhouette.outline())
-            filled = outline if section is None else self.seen(section.outline())
+            outline = silhouette.outline()
+            filled = outline if section is None else section.outline()
             same = filled.shape == outline.shape and np.allclose(
-                filled, outline, atol=1e-3
+                filled, outline, atol=alike
             )
             if section is None or not same:
                 axes.add_patch(
@@ -166,13 +221,17 @@ class View:
                 axes.add_patch(Polygon(filled, fc=GREY, ec="none", zorder=1))
                 # Above the tube, so that an attempt shows what it cuts into.
                 axes.add_patch(Polygon(filled, fill=False, ec=EDGE, lw=0.8, zorder=3))
+        for axis, bound, out in self.fences(window):
+            far = bound + out * float(high[axis] - low[axis])
+            draw_fence(axes, axis, bound, far)
         # Stroke all boxes, then fill them: what stays black is the outline.
         boxes = swept_boxes(self.center - self.half, self.center + self.half)
         tube = Path.make_compound_path_from_polys(boxes)
-        axes.add_patch(
+        # (As artists, since patches would be measured, curve by curve.)
+        axes.add_artist(
             PathPatch(tube, fc="none", ec=BLACK, lw=2.0, joinstyle="round", zorder=2)
         )
-        axes.add_patch(PathPatch(tube, fc=PALE_BLUE, ec="none", zorder=2.1))
+        axes.add_artist(PathPatch(tube, fc=PALE_BLUE, ec="none", zorder=2.1))
         for cloud in self.clouds:
             cloud.draw(axes, self.seen(cloud.paths), line_width)
         many = any(len(cloud.paths) > 1 for cloud in self.clouds)
@@ -183,15 +242,21 @@ class View:
             axes.plot(*self.center.T, color=BLACK, lw=width, zorder=4)
         if self.goal is not None:
             axes.plot(*self.seen(self.goal), **_GOAL)
-        low, high = window
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])
         axes.set_aspect("equal")
         if self.order == (1, 0):
             axes.invert_yaxis()  # with y to the right, x points down
-        names = [axis_name(i, max(self.order) + 1) for i in self.order]
-        axes.set_xlabel(f"{names[0]} (m)")
-        axes.set_ylabel(f"{names[1]} (m)")
+        if np.abs(window).max() >= _MANY_DIGITS:  # else labels would meet
+            axes.locator_params(axis="x", nbins=5)
+        axes.set_xlabel(self.labels[0])
+        axes.set_ylabel(self.labels[1])
+
+
+def _labels(model: Model, order: tuple[int, int]) -> tuple[str, str]:
+    units, names = model.output_units, model.output_names
+    right, up = (f"{names[i]} ({units[i]})" for i in order)
+    return right, up
 
 
 def joint_window(views: Iterable[View]) -> Window:
@@ -225,8 +290,33 @@ def add_color_bar(figure: Figure, axes: Sequence[Axes], coloring: Coloring) -> N
     bar.set_label(f"{coloring.label} ({coloring.unit})", fontsize=9)
 
 
+def draw_fence(axes: Axes, axis: int, bound: float, far: float) -> None:
+    """A bound of the position, and what is out of bounds.
+
+    Args:
+        axes: to draw into.
+        axis: of the picture, 0 or 1.
+        bound: where it is along that axis.
+        far: how far it is hatched.
+    """
+    span = axes.axhspan if axis else axes.axvspan
+    line = axes.axhline if axis else axes.axvline
+    span(*sorted((bound, far)), zorder=0.5, **_OUT_OF_BOUNDS)
+    line(bound, color=EDGE, lw=1.2, zorder=3)
+
+
+def fence_handles(fenced: bool) -> list[Artist]:
+    """For the legend of a picture in which bounds of the position may be seen."""
+    return [Patch(label="out of bounds", **_OUT_OF_BOUNDS)] if fenced else []
+
+
 def add_legend(
-    figure: Figure, scenario: Scenario, coloring: Coloring, clouds: Sequence[Cloud] = ()
+    figure: Figure,
+    scenario: Scenario,
+    coloring: Coloring,
+    clouds: Sequence[Cloud] = (),
+    *,
+    fenced: bool = False,
 ) -> None:
     """What a plan, its tube, flights and obstacles look like, above the figure."""
     handles: list[Artist] = [
@@ -236,6 +326,7 @@ def add_legend(
     handles += [cloud.handle() for cloud in clouds]
     if scenario.obstacles:
         handles.append(Patch(fc=GREY, ec=EDGE, label="obstacle"))
+    handles += fence_handles(fenced)
     if scenario.goal_is_soft:
         handles.append(Line2D([], [], label="soft goal", **_GOAL))
     # As many in a row as the figure is wide; several rows are alike.
