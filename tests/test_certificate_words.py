@@ -204,8 +204,8 @@ def add(rows, value):
     return change
 
 
+# Of real numbers; what `orders` may be is in test_mixed_orders.
 FIELDS = [field.name for field in dataclasses.fields(Plan) if field.name != "orders"]
-"""Those of real numbers."""
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from dtmpc_drake.numerics import splines
 from dtmpc_drake.obstacles import Cylinder
 from dtmpc_drake.obstacles.normals import tangent_space
 from dtmpc_drake.planning import Problem, plan
@@ -65,7 +66,7 @@ def test_the_inputs_curvature_is_that_of_its_norm(around):
     for chosen in (0, 9, tr.intervals - 1):
         move = random.normal(size=(tr.degree + 1, tr.outputs))
         here = nodes[piece == chosen]
-        by = tr.basis_at(here)[:, tr.order] @ move
+        by = splines.applied(tr.basis_at(here)[:, tr.order], move)
 
         def priced(t: float, here=here, by=by) -> float:
             highest = iterate.reference[2 * here, tr.order] + t * by

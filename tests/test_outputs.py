@@ -337,6 +337,9 @@ def test_a_plan_that_lost_an_array_is_not_taken_for_none(
     log: Flight, field: str, array: np.ndarray | None, tmp_path: Path
 ) -> None:
     saved_with(log, tmp_path / "log.npz", **{f"plan1_{field}": array})
+    if (field, array) == ("orders", None):  # as in files of before there were any
+        assert Flight.load(tmp_path / "log.npz").replans[1].plan.chains.are_alike
+        return
     words = rf"plan1_{field}" if array is None else "plan 1: not a saved plan"
     with pytest.raises(ValueError, match=rf"log\.npz: not a saved log .*{words}"):
         Flight.load(tmp_path / "log.npz")

@@ -15,11 +15,14 @@ from __future__ import annotations
 import dataclasses
 from functools import cached_property, lru_cache
 from math import comb
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dtmpc_drake.models import Model
 from dtmpc_drake.numerics.arrays import Array, BoolArray
+
+if TYPE_CHECKING:  # plans are read where Drake, which models need, is not
+    from dtmpc_drake.models import Model
 
 
 def surface_coefficients(slope: Array, order: int) -> Array:

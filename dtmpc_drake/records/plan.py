@@ -372,8 +372,10 @@ class Plan:
             shape = self.coefficients.shape
             return f"coefficients: {shape} with {N} pieces is of no order"
         orders = np.asarray(self.orders)
-        if orders.shape != (m,) or orders.dtype.kind not in "iu":
-            return f"orders: must be {m} whole numbers, one for each output"
+        if orders.shape != (m,):
+            return f"orders: has shape {orders.shape} where {(m,)} is needed"
+        if orders.dtype.kind not in "iu":
+            return f"orders: must hold whole numbers, not {orders.dtype}"
         if orders.min() < 1 or orders.max() != n:
             return f"orders: {orders.tolist()} where the largest must be {n}"
         powers = self.layer_coefficients.shape[1]
