@@ -61,7 +61,7 @@ SHORT = Scenario(
     limits=Limits(input=9.0),
     duration=6.0,
     obstacles=[Sphere([0.7, 2.0, 1.0], 0.5)],
-    planner=Planner(intervals=24),
+    planner=Planner(intervals=24, time_limit=600.0),
 )
 SHORT.controller.slope = [2.0] * 4
 
@@ -340,7 +340,7 @@ def test_random_chains_are_planned_certified_and_flown_in_their_tubes(
         initial_error=Waypoint(position=rng.uniform(-0.01, 0.01, m).tolist()),
         limits=Limits(input=14.0),
         duration=5.0,
-        planner=Planner(intervals=16),
+        planner=Planner(intervals=16, time_limit=600.0),
     )
     scenario.controller.slope = rng.uniform(1.5, 2.5, m).tolist()
     result = plan(scenario)
@@ -398,7 +398,11 @@ def test_a_sphere_has_a_coordinate_for_each_output_that_says_where_it_is() -> No
 
 def test_the_search_for_sides_is_one_of_the_place(shipped: Scenario) -> None:
     settings_ = dataclasses.replace(
-        shipped.planner, initial_guess="best_side", time_budget=1.0, intervals=28
+        shipped.planner,
+        initial_guess="best_side",
+        time_budget=1.0,
+        intervals=28,
+        time_limit=600.0,
     )
     result = plan_problem(Problem.from_scenario(shipped), settings_)
     assert result.certified, result.message
