@@ -230,24 +230,6 @@ def test_an_array_of_another_shape_is_named(known_result, known_problem, field):
     assert ":" in certificate.reason and "shape" in certificate.reason
 
 
-@pytest.mark.parametrize(
-    ("orders", "why"),
-    [
-        ([2, 2], "3 whole numbers, one for each output"),
-        ([2.0, 2.0, np.nan], "3 whole numbers"),
-        ([2, 2, 3], "the largest must be 2"),
-        ([1, 2, 0], "the largest must be 2"),
-        ([1, 2, 2], "coefficients: an output has a power beyond"),
-    ],
-)
-def test_orders_that_a_plan_cannot_have_are_named(
-    known_result, known_problem, orders, why
-):
-    plan = dataclasses.replace(known_result.plan, orders=np.array(orders))
-    certificate = certify(plan, known_problem)
-    assert not certificate.certified and why in certificate.reason
-
-
 def test_a_plan_of_another_order_is_told_so(known_result):
     other = make_problem(IntegratorChain(3, 3))
     certificate = certify(known_result.plan, other)

@@ -95,8 +95,8 @@ def same_margins(
             continue
         unit = unit_of(first.unit, length=length, time=time)
         # Two own units that differ by rounding have kinks in other places.
-        wanted = pytest.approx(first.value * unit, rel=1e-4, abs=1e-7 * unit)
-        assert margin.value == wanted, name
+        near = pytest.approx(first.value * unit, rel=1e-4, abs=1e-7 * unit)
+        assert margin.value == near, name
 
 
 @settings(max_examples=8)
