@@ -298,16 +298,12 @@ def flown(limit: Limit, chains: Chains, state: Array, control: Array) -> Array |
     return limit.flown(state, control)
 
 
-class LinearLimit(ConvexLimit):
-    """Limits ``a'y^(k) <= b``, tightened by ``|a|'R_k`` for the tube."""
+class Rows(abc.ABC):
+    """Rows ``a'z <= b`` on what is within some distance of a value."""
 
     @abc.abstractmethod
     def normals(self, num_outputs: int) -> Array:
         """The rows a, ``(q, m)``."""
-
-    def reads(self, num_outputs: int) -> BoolArray:
-        """See base class."""
-        return np.asarray(self.normals(num_outputs).any(axis=0))
 
     @property
     @abc.abstractmethod
@@ -315,13 +311,21 @@ class LinearLimit(ConvexLimit):
         """The bounds b, ``(q,)`` or a number."""
 
     def left(self, value: Array, spread: Array) -> Array:
-        """See base class."""
+        """``b - a'z - |a|'spread``, ``(..., q)``."""
         normals = self.normals(value.shape[-1])
         return self.bounds - value @ normals.T - spread @ np.abs(normals).T
 
     def left_slopes(self, value: Array, spread: Array) -> tuple[Array, Array]:
-        """See base class."""
+        """Its derivatives by value and by spread, ``(..., q, m)`` each."""
         normals = self.normals(value.shape[-1])
         shape = (*value.shape[:-1], *normals.shape)
         by_value, by_spread = -normals, -np.abs(normals)
         return np.broadcast_to(by_value, shape), np.broadcast_to(by_spread, shape)
+
+
+class LinearLimit(Rows, ConvexLimit):
+    """Limits ``a'y^(k) <= b``, tightened by ``|a|'R_k`` for the tube."""
+
+    def reads(self, num_outputs: int) -> BoolArray:
+        """See base class."""
+        return np.asarray(self.normals(num_outputs).any(axis=0))

@@ -19,11 +19,9 @@ from dtmpc_drake.checks import (
     require_positive,
 )
 from dtmpc_drake.errors import require
-from dtmpc_drake.limits.base import ConvexLimit, Facets, SampledLimit, Slopes
-from dtmpc_drake.limits.input_slopes import InputSlopes
-from dtmpc_drake.method.enclosure import Enclosure
+from dtmpc_drake.limits.base import ConvexLimit
+from dtmpc_drake.limits.input_box import InputBoxLimit
 from dtmpc_drake.method.sliding import SlidingLaw
-from dtmpc_drake.method.tightening import Instant, input_range
 from dtmpc_drake.method.units import Units
 from dtmpc_drake.numerics.arrays import Array, BoolArray, euclidean_norm
 
@@ -149,7 +147,7 @@ class DerivativeNorm(ConvexLimit):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class InputNorm(SampledLimit):
+class InputNorm(InputBoxLimit):
     """``‖P u + q‖ <= c``.
 
     Attributes:
@@ -169,32 +167,17 @@ class InputNorm(SampledLimit):
         """See base class."""
         return InputNorm(self.norm.in_unit(units.of(order)))
 
-    def worth(self, units: Units, order: int) -> float:
-        """See base class."""
-        return units.of(order)
-
     def unit(self, law: SlidingLaw, column: int | None = None) -> str:
         """See base class."""
         return law.model.input_unit
 
-    def margins(self, law: SlidingLaw, at: Instant) -> Array:
+    def left(self, value: Array, spread: Array) -> Array:
         """See base class."""
-        return self.norm.left(*input_range(law, at))
+        return self.norm.left(value, spread)
 
-    def proven(self, enclosure: Enclosure) -> Array:
-        """See base class; concave in y*^(n), which is linear: least at an end."""
-        return self.margins(enclosure.law, enclosure.instant).min(axis=0)
-
-    def slopes(
-        self, law: SlidingLaw, at: Instant, secant: float, facets: Facets
-    ) -> Slopes:
+    def left_slopes(self, value: Array, spread: Array) -> tuple[Array, Array]:
         """See base class."""
-        inputs = InputSlopes(law, at, secant)
-        return inputs.of_rows(*self.norm.left_slopes(inputs.nominal, inputs.spread))
-
-    def flown(self, state: Array, control: Array) -> Array:
-        """See base class."""
-        return self.norm.left(control, np.zeros_like(control))
+        return self.norm.left_slopes(value, spread)
 
 
 @dataclasses.dataclass
