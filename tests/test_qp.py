@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -135,6 +137,30 @@ def test_a_multiplier_is_the_price_of_its_bound():
     program.set_cost("all", quadratic=2 * np.eye(2)[None])  # x², so 2 x is the price
     solution = program.solve(accuracy=1e-9)
     np.testing.assert_allclose(solution.multipliers, [6.0, 0.0], atol=1e-4)
+
+
+def test_many_threads_may_read_multipliers_at_once():
+    """As a search for sides does; see `QuadraticProgram`."""
+    program = QuadraticProgram(Layout(400, (("all", Window(0, 400, 400, 1)),)))
+    same, more = Rows(400), Rows(400)
+    same.equate(np.ones((1, 1)), np.array([[1]]), 0.0)
+    more.add(np.ones((399, 1)), np.delete(np.arange(400), 1)[:, None], np.ones(399))
+    program.set_rows(same.assemble(), more.assemble())
+    program.set_cost("all", quadratic=np.eye(400)[None])
+    solution = program.solve(accuracy=1e-6)
+
+    def read() -> None:
+        for _ in range(1000):
+            assert solution.multipliers.shape == (399,)
+
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(4) as pool:
+            for done in [pool.submit(read) for _ in range(4)]:
+                done.result()
+    finally:
+        sys.setswitchinterval(interval)
 
 
 def test_a_program_is_used_again_but_never_by_two_at_once():

@@ -16,6 +16,7 @@ import scipy.sparse as sp
 from pydrake.solvers import (
     Binding,
     ClarabelSolver,
+    EvaluatorBase,
     MathematicalProgram,
     MathematicalProgramResult,
     QuadraticCost,
@@ -97,6 +98,11 @@ class QuadraticProgram:
         )
         self._inequalities = self._program.AddLinearConstraint(
             last, np.zeros(1), np.full(1, np.inf), self._z
+        )
+        # As a result wants it: pybind11 converts arguments in one thread at a time, and
+        # refuses those of any other thread meanwhile.
+        self._rows = Binding[EvaluatorBase](
+            self._inequalities.evaluator(), self._inequalities.variables()
         )
         self._slack = self._program.AddLinearCost(np.ones(1), self._z[-1:])
         self._windows = dict(layout.costs)
@@ -214,7 +220,7 @@ class QuadraticProgram:
             good = status in ("Solved", "AlmostSolved")
             if good or (doubtful and "PrimalInfeasible" in status):
                 break
-        return Solution(status, result, self._inequalities, good)
+        return Solution(status, result, self._rows, good)
 
 
 _waiting: OrderedDict[Layout, list[QuadraticProgram]] = OrderedDict()
