@@ -380,6 +380,7 @@ def invoke(*arguments: object) -> Any:
     return CliRunner().invoke(app, ["compare", *map(str, arguments)])
 
 
+@pytest.mark.slow
 def test_the_command_compares(tmp_path: Path) -> None:
     file, out = tmp_path / "short.yaml", tmp_path / "out"
     file.write_text(to_yaml(short()), encoding="utf-8")
@@ -420,6 +421,7 @@ def test_bad_options_get_one_line() -> None:
     assert result.stderr == "--trials: got 0, but it must be at least 1\n"
 
 
+@pytest.mark.slow
 def test_the_exit_status_tells_an_impossible_task(tmp_path: Path) -> None:
     file = tmp_path / "storm.yaml"
     storm = short(

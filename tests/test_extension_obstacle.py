@@ -87,6 +87,7 @@ def test_a_flight_stays_clear_of_a_box(planned):
     assert own.max(axis=1).min() > 0
 
 
+@pytest.mark.slow
 def test_a_box_is_passed_on_either_side_and_a_low_one_above():
     scenario = flight(PILLAR)
     ways = propose(Problem.from_scenario(scenario), 10)

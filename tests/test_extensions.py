@@ -196,6 +196,7 @@ def test_the_phase_of_the_waves_is_the_seed_s(harbour: Scenario) -> None:
     assert len(seen) == 2
 
 
+@pytest.mark.slow
 def test_they_fly_through_monte_carlo_in_many_processes(
     harbour: Scenario, tmp_path: Path
 ) -> None:
@@ -224,7 +225,9 @@ def test_all_kinds_that_are_hard_have_theirs_among_them(harbour: Scenario) -> No
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=[pytest.mark.slow] * (name == "compare"))
+        pytest.param(
+            name, marks=[pytest.mark.slow] * (name in ("compare", "monte-carlo"))
+        )
         for name in COMMANDS
     ],
 )

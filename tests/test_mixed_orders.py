@@ -600,6 +600,7 @@ def test_obstacles_that_are_seen_on_the_way_are_avoided() -> None:
     assert log.clearance.min() > 0
 
 
+@pytest.mark.slow
 def test_what_is_held_without_a_plan_has_the_tube_that_it_says() -> None:
     short = changed(
         start=Waypoint([0.0, 0.0, 1.0, 0.0], [0.0, 0.3, 0.1, 0.0]),

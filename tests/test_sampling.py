@@ -206,6 +206,7 @@ def test_a_flight_says_how_far_it_is(short_plan: Plan) -> None:
     np.testing.assert_array_equal(said, log.time[1:])
 
 
+@pytest.mark.slow
 def test_a_terminal_is_told_how_much_is_flown_and_nobody_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

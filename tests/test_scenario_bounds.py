@@ -485,12 +485,13 @@ def sized(
     )
 
 
+LARGE = pytest.mark.slow
 SIZES = [
-    (2, 3, 56, 200.0, False),
-    (2, 3, 56, 50.0, True),
+    pytest.param((2, 3, 56, 200.0, False), marks=LARGE),
+    pytest.param((2, 3, 56, 50.0, True), marks=LARGE),
     (2, 3, 600, 2.0, False),
     (4, 1, 56, 50.0, False),
-    (8, 3, 50, 10.0, False),
+    pytest.param((8, 3, 50, 10.0, False), marks=LARGE),
     (1, 2, 56, 300.0, False),
 ]
 
