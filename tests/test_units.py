@@ -18,7 +18,8 @@ from dtmpc_drake.errors import ScenarioError
 from dtmpc_drake.experiments.simulate import run
 from dtmpc_drake.method.units import Units
 from dtmpc_drake.models import DragDoubleIntegrator, IntegratorChain
-from dtmpc_drake.planning import Problem, certify, plan
+from dtmpc_drake.planning import Problem, certify, plan, plan_problem
+from dtmpc_drake.planning.baselines import without_tube
 from dtmpc_drake.planning.canonical import canonical, plan_in_units
 from dtmpc_drake.records.certificate import Certificate
 from dtmpc_drake.records.result import PlanningResult
@@ -196,6 +197,19 @@ def test_ipopt_finds_the_same_in_other_units(planned):
 def test_the_best_side_is_the_same_in_other_units():
     base = load_scenario("best_side")
     require_alike(base, plan(base), length=1e3, time=1.0)
+
+
+def test_a_plan_without_a_tube_is_the_same_in_other_units():
+    base = load_scenario("known_environment")
+    other = in_other_units(base, length=1e-3, time=1.0)
+    first, result = (
+        plan_problem(without_tube(Problem.from_scenario(each)), each.planner)
+        for each in (base, other)
+    )
+    unit = cost_unit(base, length=1e-3, time=1.0)
+    assert result.cost / unit == pytest.approx(first.cost, rel=1e-6)
+    thickest = [each.plan.position_tube(7.0).max() for each in (first, result)]
+    assert thickest[1] == pytest.approx(1e-3 * thickest[0], rel=1e-6)
 
 
 def test_an_infeasible_problem_says_so_in_its_units():
