@@ -451,28 +451,28 @@ def cost(**weights: Any) -> Scenario:
 REFUSED: dict[str, tuple[Scenario, str]] = {
     "start.acceleration[2]": (
         changed(start=Waypoint([0.0] * 4, None, [0.0, 0.0, 1.0, 0.0])),
-        "0: output 2 is of order 2",
+        "0: axis z is of order 2",
     ),
     "goal.velocity[3]": (
         changed(goal=Waypoint([0.0, 4.0, 1.5, 0.8], [0.0, 0.0, 0.0, 0.3])),
-        "0: output 3 is of order 1",
+        "0: axis yaw is of order 1",
     ),
     "initial_error.velocity[3]": (
         changed(initial_error=Waypoint([0.0] * 4, [0.0, 0.0, 0.0, 0.1])),
-        "0: output 3 is of order 1",
+        "0: axis yaw is of order 1",
     ),
     "limits.norms[0]": (
         limited(of="acceleration", bound=4.0),
-        "does not look at output 3.*order 1, and nothing bounds its acceleration",
+        "does not look at axis yaw.*order 1, and nothing bounds its acceleration",
     ),
     "limits.norms[0] ": (
         limited(of="jerk", bound=4.0, matrix=[[1.0, 0, 0, 0], [0, 0, 1.0, 0]]),
-        "does not look at output 2.*order 2, and nothing bounds its jerk",
+        "does not look at axis z.*order 2, and nothing bounds its jerk",
     ),
-    "cost.terminal.velocity": (cost(velocity=1.0), "0 for output 3.*order 1"),
+    "cost.terminal.velocity": (cost(velocity=1.0), "0 for axis yaw.*order 1"),
     "cost.terminal.acceleration": (
         cost(acceleration=[1.0, 1.0, 0.5, 0.0]),
-        "0 for output 2.*order 2",
+        "0 for axis z.*order 2",
     ),
     "model.orders[1]": (
         changed(model=IntegratorChain(orders=[3, 0, 2, 1]), obstacles=[]),

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -23,6 +24,7 @@ from dtmpc_drake.limits.base import ConvexLimit
 from dtmpc_drake.limits.input_box import InputBoxLimit
 from dtmpc_drake.method.sliding import SlidingLaw
 from dtmpc_drake.method.units import Units
+from dtmpc_drake.models import joined
 from dtmpc_drake.numerics.arrays import Array, BoolArray, euclidean_norm
 
 MOST_READ = 4
@@ -50,6 +52,10 @@ class Norm:
         if self.matrix is None:
             return np.ones(m, dtype=bool)
         return np.asarray(self.matrix.any(axis=0))
+
+    def unit(self, units: Sequence[str]) -> str:
+        """That of the numbers that count, of z whose units are these."""
+        return joined(np.array(units)[self.reads(len(units))].tolist())
 
     def in_unit(self, unit: float) -> Norm:
         """The same of a z in another unit."""
@@ -135,7 +141,7 @@ class DerivativeNorm(ConvexLimit):
 
     def unit(self, law: SlidingLaw, column: int | None = None) -> str:
         """See base class."""
-        return law.model.derivative_unit(self.of)
+        return self.norm.unit(law.model.units_of(self.of))
 
     def left(self, value: Array, spread: Array) -> Array:
         """See base class."""
@@ -169,7 +175,7 @@ class InputNorm(InputBoxLimit):
 
     def unit(self, law: SlidingLaw, column: int | None = None) -> str:
         """See base class."""
-        return law.model.input_unit
+        return self.norm.unit(law.model.input_units)
 
     def left(self, value: Array, spread: Array) -> Array:
         """See base class."""

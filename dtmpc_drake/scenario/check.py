@@ -28,7 +28,7 @@ from dtmpc_drake.method.sliding import sliding_variable
 from dtmpc_drake.method.stability import ROOM, longest_stable_step
 from dtmpc_drake.method.stopping import range_needed
 from dtmpc_drake.method.tube import TubeStart, propagate
-from dtmpc_drake.models import IntegratorChain, joined
+from dtmpc_drake.models import IntegratorChain, Model, joined
 from dtmpc_drake.numerics.arrays import Array
 from dtmpc_drake.scenario.schema import (
     BACKENDS,
@@ -82,11 +82,15 @@ def validate_values(scenario: Scenario) -> None:
 
 
 def _check_magnitudes(scenario: Scenario) -> None:
+    chains = Chains.of(scenario.model)
     for field, row in _waypoint_rows(scenario).items():
         k = DERIVATIVES.index(field.split(".")[1])
         units = scenario.model.units_of(k)
         for i, value in enumerate(row):
             require_magnitude(f"{field}[{i}]", value, units[i])
+        for i, order in enumerate(chains.orders):
+            why = f"0: {scenario.model.axes[i]} is of order {order}"
+            require(f"{field}[{i}]", row[i], row[i] == 0 or k < order, why)
     highest, planner = scenario.controller.bandwidth.max, scenario.planner
     require_magnitude("controller.bandwidth.max", highest, "rad/s")
     require_magnitude("planner.compute_delay", planner.compute_delay, "s")
@@ -110,13 +114,8 @@ def _check_sizes(scenario: Scenario) -> None:
     require_length("controller.slope", scenario.controller.slope, m)
     if isinstance(scenario.limits.speed, list):
         require_length("limits.speed", scenario.limits.speed, m)
-    chains = Chains.of(scenario.model)
     for field, row in rows.items():
         require_length(field, row, m)
-        k = list(DERIVATIVES).index(field.split(".")[1])
-        for i in np.flatnonzero(chains.each <= k):
-            why = f"0: output {i} is of order {chains.orders[i]}"
-            require(f"{field}[{i}]", row[i], row[i] == 0, why)
 
 
 def _check_orders(scenario: Scenario) -> None:
@@ -243,7 +242,7 @@ def _check_costs(scenario: Scenario) -> None:
             why = f"left out: the model is of order {order}"
             require(field, weight, k < order or not np.any(weight), why)
             if np.any(weight):
-                _check_weighed(field, weight, k, Chains.of(scenario.model))
+                _check_weighed(field, weight, k, scenario.model)
     if cost.state is None or cost.state.line is None:
         return
     for name in ("point", "direction"):
@@ -254,12 +253,13 @@ def _check_costs(scenario: Scenario) -> None:
     require(field, row, bool(np.linalg.norm(row) >= 1e-9), "longer than 0")
 
 
-def _check_weighed(field: str, weight: Weight, k: int, chains: Chains) -> None:
+def _check_weighed(field: str, weight: Weight, k: int, model: Model) -> None:
     """Refuses to weigh derivatives of outputs that do not have them."""
+    chains = Chains.of(model)
     whole = matrix_of(weight, chains.num_outputs)
     for i in np.flatnonzero(chains.each <= k):
         why = (
-            f"a list or a matrix that is 0 for output {i}, which is of order"
+            f"a list or a matrix that is 0 for {model.axes[i]}, which is of order"
             f" {chains.orders[i]}"
         )
         require(field, weight, not whole[i].any(), why)
@@ -312,10 +312,10 @@ def _check_limits_exist(scenario: Scenario) -> None:
         beyond = limit.reads(chains.num_outputs) & (chains.each < k)
         for i in np.flatnonzero(beyond)[:1]:
             name = [*NAMES][k] if k < len(NAMES) else f"derivative {k}"
+            axis, order = scenario.model.axes[i], chains.orders[i]
             why = (
-                f"one that does not look at output {i} (a column of zeros in its"
-                f" matrix): it is of order {chains.orders[i]}, and nothing bounds its"
-                f" {name}"
+                f"one that does not look at {axis} (a column of zeros in its matrix):"
+                f" it is of order {order}, and nothing bounds its {name}"
             )
             raise ScenarioError(path, name, why)
 
