@@ -1,6 +1,8 @@
 """A whole experiment as typed dataclasses: fields, and what follows from them alone.
 
 What the fields must say is in `check`, and how they are read and written in `files`.
+Units are those of a vehicle in metres; whatever else its model names stands in their
+place, and of an output of order n_i the unit of the highest derivative is that / s^n_i.
 """
 
 import dataclasses
@@ -203,7 +205,9 @@ class Waypoint:
 class SolverOptions:
     """Tolerances of the search for plans, and how far it looks.
 
-    No certificate depends on any of them.  The defaults suit most problems.
+    No certificate depends on any of them.  The defaults suit most problems: lengths and
+    speeds are in a problem's own units, in which those of all problems are alike; see
+    `method.units`.
 
     Attributes:
         tolerance: iterations stop when the next one promises less than this part of
@@ -221,8 +225,8 @@ class SolverOptions:
             tube's pieces round off the model's kinks.
         convex_reserve: the same of limits on the reference's derivatives: the velocity
             tube is proven with some slack.
-        backoff: how much programs ask for beyond every limit, in m and in the units
-            of limits over their scales, so that an iterate that is feasible to this
+        backoff: how much programs ask for beyond every limit, in lengths and in
+            limits over their scales, so that an iterate that is feasible to this
             keeps the limit itself.
         sampled_backoff: the same of limits that are looked at between knots, where
             they may peak between the nodes, too.
@@ -231,7 +235,7 @@ class SolverOptions:
         max_penalty: largest weight of the slack.
         rigid: a start that violates no more than this is hoped to need no slack.
         rotation: weight of a half-plane's rotation, at least.
-        secant: half-width of the differences along the state, in its units.  Model
+        secant: half-width of the differences along the state.  Model
             errors often have a kink at rest; a derivative would not see it, a secant
             does.
         proximity: first weight of the square of the step, at most, after one that
@@ -240,7 +244,7 @@ class SolverOptions:
         max_failures: programs that the solver may fail to solve before the
             iterations end.
         near: part of all reaches near a solution; from a cold start they are whole.
-        obstacle_reach: pieces and obstacles further apart have no half-plane, in m.
+        obstacle_reach: pieces and obstacles further apart have no half-plane.
         obstacle_reach_of_a_step: the same in parts of what the speed limit allows
             between two knots, if that is more.
         convex_reach: control points with more margin than this part of a limit are
