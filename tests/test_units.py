@@ -266,6 +266,12 @@ def test_own_units_make_problems_alike(speed, slope, bandwidth, order):
     assert back.length * units.length == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("broken", [0.0, -1.0, np.nan, np.inf])
+def test_broken_numbers_leave_the_users_units(broken):
+    units = Units.own(speed=2.5, slope=np.array([2.0]), bandwidth=broken, orders=[1])
+    assert units == Units()
+
+
 def test_a_problem_near_its_own_units_stays_as_it_is():
     problem = Problem.from_scenario(load_scenario("known_environment"))
     assert canonical(problem) is problem

@@ -63,7 +63,7 @@ class Units:
         rate = float(np.mean(bandwidth)) / 2
         if order > 1:
             rate = max(rate, float(np.mean(slope)))
-        time = _unless_near(RATE / rate) if alike else 1.0
+        time = _unless_near(RATE / rate) if alike and rate > 0 else 1.0
         length = _unless_near(speed * time / SPEED)
         return cls(length, time, (length / time**order) ** 2 * time)
 
