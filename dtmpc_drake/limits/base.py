@@ -213,7 +213,27 @@ class SampledLimit(Limit):
         return None
 
 
-class ConvexLimit(Limit):
+class Tightened(abc.ABC):
+    """What is left of a limit on some z, which may be anywhere in a box."""
+
+    @abc.abstractmethod
+    def left(self, value: Array, spread: Array) -> Array:
+        """What is left where z is within some distance of a value.
+
+        Args:
+            value: of z, ``(..., m)``.
+            spread: the distance, element by element, ``(..., m)``.
+
+        Returns:
+            ``(..., q)``; concave in both, and falling in the second.
+        """
+
+    @abc.abstractmethod
+    def left_slopes(self, value: Array, spread: Array) -> tuple[Array, Array]:
+        """Derivatives of `left` by value and by spread, ``(..., q, m)`` each."""
+
+
+class ConvexLimit(Tightened, Limit):
     """A limit on one derivative of the output that is convex in it.
 
     It holds between knots, too, where it holds at control points: in the derivative of
@@ -229,6 +249,11 @@ class ConvexLimit(Limit):
         """Which outputs it looks at, ``(m,)``; all, unless it knows better."""
         return np.ones(num_outputs, dtype=bool)
 
+    def is_of_states(self, chains: Chains) -> bool:
+        """Whether all that it looks at are states, k < n_i."""
+        k, read = self.derivative, self.reads(chains.num_outputs)
+        return k < chains.order and not bool((read & (chains.each <= k)).any())
+
     @property
     @abc.abstractmethod
     def size(self) -> float | None:
@@ -236,22 +261,6 @@ class ConvexLimit(Limit):
 
         None if that is for the problem to say, as for positions.
         """
-
-    @abc.abstractmethod
-    def left(self, value: Array, spread: Array) -> Array:
-        """What is left where the derivative is within some distance of a value.
-
-        Args:
-            value: of the derivative, ``(..., m)``.
-            spread: the distance, element by element, ``(..., m)``.
-
-        Returns:
-            ``(..., q)``; concave in both, and falling in the second.
-        """
-
-    @abc.abstractmethod
-    def left_slopes(self, value: Array, spread: Array) -> tuple[Array, Array]:
-        """Derivatives of `left` by value and by spread, ``(..., q, m)`` each."""
 
     def worth(self, units: Units, order: int) -> float:
         """See base class."""
@@ -291,15 +300,13 @@ def flown(limit: Limit, chains: Chains, state: Array, control: Array) -> Array |
         state: x, ``(..., n, m)``.
         control: u, ``(..., m)``.
     """
-    if isinstance(limit, ConvexLimit):
-        read = limit.reads(chains.num_outputs)
-        if (read & (chains.each <= limit.derivative)).any():
-            return None
+    if isinstance(limit, ConvexLimit) and not limit.is_of_states(chains):
+        return None
     return limit.flown(state, control)
 
 
-class Rows(abc.ABC):
-    """Rows ``a'z <= b`` on what is within some distance of a value."""
+class Rows(Tightened):
+    """Rows ``a'z <= b``."""
 
     @abc.abstractmethod
     def normals(self, num_outputs: int) -> Array:
@@ -311,12 +318,12 @@ class Rows(abc.ABC):
         """The bounds b, ``(q,)`` or a number."""
 
     def left(self, value: Array, spread: Array) -> Array:
-        """``b - a'z - |a|'spread``, ``(..., q)``."""
+        """See base class; ``b - a'z - |a|'spread``."""
         normals = self.normals(value.shape[-1])
         return self.bounds - value @ normals.T - spread @ np.abs(normals).T
 
     def left_slopes(self, value: Array, spread: Array) -> tuple[Array, Array]:
-        """Its derivatives by value and by spread, ``(..., q, m)`` each."""
+        """See base class."""
         normals = self.normals(value.shape[-1])
         shape = (*value.shape[:-1], *normals.shape)
         by_value, by_spread = -normals, -np.abs(normals)

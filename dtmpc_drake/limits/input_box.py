@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import abc
-
 import numpy as np
 
-from dtmpc_drake.limits.base import Facets, SampledLimit, Slopes
+from dtmpc_drake.limits.base import Facets, SampledLimit, Slopes, Tightened
 from dtmpc_drake.limits.input_slopes import InputSlopes
 from dtmpc_drake.method.enclosure import Enclosure
 from dtmpc_drake.method.sliding import SlidingLaw
@@ -15,24 +13,8 @@ from dtmpc_drake.method.units import Units
 from dtmpc_drake.numerics.arrays import Array
 
 
-class InputBoxLimit(SampledLimit):
+class InputBoxLimit(Tightened, SampledLimit):
     """A limit on the input that is told what is left of it in a box of inputs."""
-
-    @abc.abstractmethod
-    def left(self, value: Array, spread: Array) -> Array:
-        """What is left where the input is within some distance of a value.
-
-        Args:
-            value: of the input, ``(..., m)``.
-            spread: the distance, element by element, ``(..., m)``.
-
-        Returns:
-            ``(..., q)``; concave in both, and falling in the second.
-        """
-
-    @abc.abstractmethod
-    def left_slopes(self, value: Array, spread: Array) -> tuple[Array, Array]:
-        """Derivatives of `left` by value and by spread, ``(..., q, m)`` each."""
 
     def worth(self, units: Units, order: int) -> float:
         """See base class."""

@@ -33,7 +33,7 @@ from dtmpc_drake.method.sliding import SlidingLaw, gain_crossover
 from dtmpc_drake.method.tube import TubeStart, propagate
 from dtmpc_drake.models import ConstantUncertainty
 from dtmpc_drake.numerics.splines import grouped
-from dtmpc_drake.planning.canonical import canonical
+from dtmpc_drake.planning.canonical import own_units
 from dtmpc_drake.planning.charges import charges
 from dtmpc_drake.planning.planner import plan_problem
 from dtmpc_drake.planning.problem import Problem
@@ -313,7 +313,7 @@ def without_tube(problem: Problem) -> Problem:
     nothing.
     """
     law = problem.law
-    nothing, units = np.zeros_like(law.slope), canonical(problem).units
+    nothing, units = np.zeros_like(law.slope), own_units(problem)
     layer = nothing + VANISHING * units.of(law.order - 1)
     return dataclasses.replace(
         problem,

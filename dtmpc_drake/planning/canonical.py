@@ -16,6 +16,18 @@ from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.records.plan import Plan
 
 
+def own_units(problem: Problem) -> Units:
+    """A problem's own units in those of the user."""
+    if not problem.units.are_the_users:
+        return problem.units
+    return Units.own(
+        speed=problem.speed.size,
+        slope=problem.law.slope,
+        bandwidth=problem.bandwidth.high,
+        orders=problem.law.chains.orders,
+    )
+
+
 def canonical(problem: Problem) -> Problem:
     """A problem in its own units.
 
@@ -23,15 +35,8 @@ def canonical(problem: Problem) -> Problem:
     returned as it is.
     """
     law, n = problem.law, problem.law.order
-    if not problem.units.are_the_users:
-        return problem
-    units = Units.own(
-        speed=problem.speed.size,
-        slope=law.slope,
-        bandwidth=problem.bandwidth.high,
-        orders=law.chains.orders,
-    )
-    if units.are_the_users:
+    units = own_units(problem)
+    if units == problem.units:
         return problem
     rows, highest = units.of_rows(n), units.of(n)
     stages, top = problem.tube_start.stages, problem.tube_start.highest

@@ -15,7 +15,7 @@ from dtmpc_drake.method.tube import (
     stages_of_bounds,
 )
 from dtmpc_drake.numerics.arrays import Array, BoolArray, FloatArray
-from dtmpc_drake.planning.canonical import canonical
+from dtmpc_drake.planning.canonical import own_units
 from dtmpc_drake.planning.deadline import Deadline
 from dtmpc_drake.planning.planner import plan_problem
 from dtmpc_drake.planning.problem import Problem
@@ -95,7 +95,7 @@ def carried_start(
     )
     stages, highest = start.stages, start.highest
     if until > measured_at:
-        longest = CARRY_STEP * canonical(problem).units.time
+        longest = CARRY_STEP * own_units(problem).time
         steps = max(2, int(np.ceil((until - measured_at) / longest)))
         times = np.linspace(measured_at, until, 2 * steps + 1)
         tube = _tube_along(plan, problem, times, start)
@@ -281,7 +281,7 @@ def _heads_for_goal(plan: Plan, problem: Problem) -> bool:
     """
     n, rows = problem.model.order, problem.goal_rows
     end = plan.reference(plan.end_time)[:n]
-    close = CLOSE * canonical(problem).units.of_rows(n)
+    close = CLOSE * own_units(problem).of_rows(n)
     if (np.abs(end - problem.goal) >= close)[rows].any():
         return False
     left, way = (

@@ -220,20 +220,20 @@ def _breach(
         message = f"the {title} was broken at t = {since:.3f} s: {first:.5g} too much"
         return Breach(what, since, title, worst, message)
     words, symbol, place = _WORDS[what]
-    if what == "speed":
-        # Axes with lower limits are watched as if theirs were the largest.
-        slower = largest - limits.speed_along(int(column[FIRST_WHERE]))
-        largest, first, worst = (x - slower for x in (largest, first, worst))
-    index, unit, where = int(column[FIRST_WHERE]), "", ""
-    if what == "speed":
-        unit = f" {model.units_of(1)[index]}"
-    elif what in ("obstacles", "input"):
-        unit = f" {model.input_unit if what == 'input' else model.length_unit}"
+    index, unit, where, sign = int(column[FIRST_WHERE]), "", "", 1.0
     if place:
         where = model.axes[index] if place == "axis" else f"{place} {index}"
-    limit, sign = f"at most {largest:g}{unit}", 1.0
+    if what == "speed":
+        # Axes with lower limits are watched as if theirs were the largest.
+        slower = largest - limits.speed_along(index)
+        largest, first, worst = (x - slower for x in (largest, first, worst))
+        unit = f" {model.units_of(1)[index]}"
+    elif what == "input":
+        unit = f" {model.input_unit}"
+    limit = f"at most {largest:g}{unit}"
     if what == "obstacles":
-        limit, sign = f"more than 0{unit}", -1.0
+        unit, sign = f" {model.length_unit}", -1.0
+        limit = f"more than 0{unit}"
     message = (
         f"{words} at t = {since:.3f} s{f' ({where})' if where else ''}:"
         f" {symbol} {sign * first:.5g}{unit}, but it must be {limit}"

@@ -13,28 +13,30 @@ from numbers import Integral
 import numpy as np
 
 from dtmpc_drake.checks import (
-    Part,
     Setting,
     require_length,
     require_magnitude,
     require_positive,
 )
-from dtmpc_drake.costs import Weight, matrix_of, require_weight
 from dtmpc_drake.errors import ScenarioError, require, show
-from dtmpc_drake.limits import ConvexLimit
-from dtmpc_drake.limits.norms import DERIVATIVES as NAMES
 from dtmpc_drake.method.chains import Chains
 from dtmpc_drake.method.sliding import sliding_variable
 from dtmpc_drake.method.stability import ROOM, longest_stable_step
 from dtmpc_drake.method.stopping import range_needed
-from dtmpc_drake.method.tube import TubeStart, propagate
-from dtmpc_drake.models import IntegratorChain, Model, joined
+from dtmpc_drake.models import joined
 from dtmpc_drake.numerics.arrays import Array
+from dtmpc_drake.scenario.check_costs import check_costs, check_soft_goal
+from dtmpc_drake.scenario.check_limits import (
+    check_limits_at_ends,
+    check_limits_exist,
+    limits_by_path,
+    smallest_final_tube,
+)
 from dtmpc_drake.scenario.schema import (
     BACKENDS,
     DERIVATIVES,
+    ENDS,
     Scenario,
-    StateWeights,
 )
 from dtmpc_drake.scenario.size import require_affordable
 from dtmpc_drake.scenario.typed import typed
@@ -47,7 +49,6 @@ CHOICES = {
     "planner.initial_guess": ("straight_line", "best_side"),
 }
 """The words that a field may be."""
-ENDS = "start", "goal", "initial_error"
 
 
 # Everything.
@@ -69,15 +70,15 @@ def validate_values(scenario: Scenario) -> None:
     _check_names(scenario)
     _check_magnitudes(scenario)
     _check_ranges(scenario)
-    _check_costs(scenario)
-    _check_soft_goal(scenario)
+    check_costs(scenario)
+    check_soft_goal(scenario)
     _check_parts(scenario)
     require_affordable(scenario)
     _check_bandwidth(scenario)
     _check_plant(scenario)
     _check_motion(scenario)
     _check_clearance(scenario)
-    _check_limits_at_ends(scenario)
+    check_limits_at_ends(scenario)
     _check_sensing(scenario)
 
 
@@ -229,54 +230,6 @@ def _check_ranges(scenario: Scenario) -> None:
         require(f"plant.{name}", value, known, f"one of: {names}")
 
 
-def _check_costs(scenario: Scenario) -> None:
-    cost, m = scenario.cost, scenario.model.num_outputs
-    for name in ("input", "bandwidth", "bandwidth_rate"):
-        require_weight(f"cost.{name}", getattr(cost, name), m)
-    for name in ("state", "terminal"):
-        weights: StateWeights | None = getattr(cost, name)
-        for k, derivative in enumerate(DERIVATIVES if weights is not None else ()):
-            field, weight = f"cost.{name}.{derivative}", getattr(weights, derivative)
-            require_weight(field, weight, m)
-            order = scenario.model.order
-            why = f"left out: the model is of order {order}"
-            require(field, weight, k < order or not np.any(weight), why)
-            if np.any(weight):
-                _check_weighed(field, weight, k, scenario.model)
-    if cost.state is None or cost.state.line is None:
-        return
-    for name in ("point", "direction"):
-        row, field = getattr(cost.state.line, name), f"cost.state.line.{name}"
-        require_length(field, row, m)
-        for i, value in enumerate(row):
-            require_magnitude(f"{field}[{i}]", value, scenario.model.output_units[i])
-    require(field, row, bool(np.linalg.norm(row) >= 1e-9), "longer than 0")
-
-
-def _check_weighed(field: str, weight: Weight, k: int, model: Model) -> None:
-    """Refuses to weigh derivatives of outputs that do not have them."""
-    chains = Chains.of(model)
-    whole = matrix_of(weight, chains.num_outputs)
-    for i in np.flatnonzero(chains.each <= k):
-        why = (
-            f"a list or a matrix that is 0 for {model.axes[i]}, which is of order"
-            f" {chains.orders[i]}"
-        )
-        require(field, weight, not whole[i].any(), why)
-
-
-def _check_soft_goal(scenario: Scenario) -> None:
-    names = DERIVATIVES[: scenario.model.order]
-    for end in ENDS:
-        waypoint = getattr(scenario, end)
-        soft = waypoint.soft if waypoint is not None else False
-        if end != "goal":
-            require(f"{end}.soft", soft, not soft, "left out: only a goal may be soft")
-        for i, name in enumerate([] if isinstance(soft, bool) else soft):
-            known = "one of " + ", ".join(names)
-            require(f"{end}.soft[{i}]", name, name in names, known)
-
-
 def _check_parts(scenario: Scenario) -> None:
     """What answers for itself."""
     model = scenario.model
@@ -294,30 +247,11 @@ def _check_parts(scenario: Scenario) -> None:
     scenario.disturbance.check("disturbance", setting)
     for i, obstacle in enumerate(scenario.obstacles):
         obstacle.check(f"obstacles[{i}]", setting.place)
-    for path, part in _limits_by_path(scenario).items():
+    for path, part in limits_by_path(scenario).items():
         part.check(path, setting)
-    _check_limits_exist(scenario)
+    check_limits_exist(scenario)
     for i, cost in enumerate(scenario.cost.own):
         cost.check(f"cost.own[{i}]", setting)
-
-
-def _check_limits_exist(scenario: Scenario) -> None:
-    """Refuses limits of derivatives beyond the highest that is bounded, y_i^(n_i)."""
-    chains = Chains.of(scenario.model)
-    limits = zip(_limits_by_path(scenario), scenario.limits.others, strict=True)
-    for path, limit in limits:
-        if not isinstance(limit, ConvexLimit):
-            continue
-        k = limit.derivative
-        beyond = limit.reads(chains.num_outputs) & (chains.each < k)
-        for i in np.flatnonzero(beyond)[:1]:
-            name = [*NAMES][k] if k < len(NAMES) else f"derivative {k}"
-            axis, order = scenario.model.axes[i], chains.orders[i]
-            why = (
-                f"one that does not look at {axis} (a column of zeros in its matrix):"
-                f" it is of order {order}, and nothing bounds its {name}"
-            )
-            raise ScenarioError(path, name, why)
 
 
 # Together.
@@ -364,7 +298,7 @@ def _check_motion(scenario: Scenario) -> None:
     model = scenario.model
     start, goal = scenario.start_state(), scenario.goal_state()
     duration = scenario.duration
-    speed = np.array([scenario.limits.speed_along(i) for i in range(start.shape[1])])
+    speed = scenario.limits.speeds(start.shape[1])
     given = show(scenario.limits.speed)
     if scenario.model.order > 1:
         ends = {"start": start, "goal": goal}
@@ -420,51 +354,6 @@ def _check_clearance(scenario: Scenario) -> None:
             )
 
 
-def _limits_by_path(scenario: Scenario) -> dict[str, Part]:
-    """What stands in a scenario for each of `Limits.others`, in their order."""
-    limits, parts = scenario.limits, dict[str, Part]()
-    for name in ("position", "inputs"):
-        if (limit := getattr(limits, name)) is not None:
-            parts[f"limits.{name}"] = limit
-    parts |= {f"limits.norms[{i}]": norm for i, norm in enumerate(limits.norms)}
-    return parts | {f"limits.own[{i}]": own for i, own in enumerate(limits.own)}
-
-
-def _check_limits_at_ends(scenario: Scenario) -> None:
-    """Limits of the states at both ends, with the smallest tubes that they may have."""
-    if not scenario.limits.others:
-        return
-    error, names = np.abs(scenario.initial_error_state()), DERIVATIVES
-    law, chains = scenario.sliding_law(), Chains.of(scenario.model)
-    final = np.zeros_like(error)
-    final[0] = smallest_final_tube(scenario)
-    ends = {
-        "start": (scenario.start_state(), error),
-        "goal": (scenario.goal_state(), final),
-    }
-    limits = zip(_limits_by_path(scenario), scenario.limits.others, strict=True)
-    for path, limit in limits:
-        if not isinstance(limit, ConvexLimit) or limit.derivative >= len(error):
-            continue
-        if (limit.reads(error.shape[1]) & (chains.each <= limit.derivative)).any():
-            continue  # it looks at what is no state
-        k = limit.derivative
-        for end, (state, tube) in ends.items():
-            if end == "goal" and k in scenario.soft_derivatives():
-                continue
-            left = limit.left(state[k], tube[k])
-            worst = int(left.argmin())
-            where, unit = limit.where(law, worst), limit.unit(law, worst)
-            where = f" ({where})" if where else ""
-            require(
-                f"{end}.{names[k]}" if k < len(names) else end,
-                state[k],
-                bool(left[worst] >= 0),
-                f"inside {path}{where}, tube included: {-left[worst]:.3g} {unit} are"
-                f" missing (tube {show(tube[k].round(3))} {unit})",
-            )
-
-
 def _check_sensing(scenario: Scenario) -> None:
     sensed = scenario.sensing.range
     if sensed is None or not np.isinf(scenario.known_from()).any():
@@ -476,36 +365,6 @@ def _check_sensing(scenario: Scenario) -> None:
     ok = sensed >= needed
     unit = scenario.model.length_unit
     require("sensing.range", sensed, ok, f"at least {needed:.4g} {unit}, {reason}")
-
-
-def smallest_final_tube(scenario: Scenario) -> Array:
-    """Ω(t_f) at the highest bandwidth and without model error, ``(m,)``.
-
-    No plan has a smaller one.
-    """
-    chains = Chains.of(scenario.model)
-    m, n = chains.num_outputs, chains.order
-    _, alpha = scenario.controller.bandwidth.interval()
-    # After ten time constants nothing is left of the start.
-    rates = [*scenario.controller.slope, alpha]
-    span = min(scenario.duration, 10 * n / min(rates))
-    half = 2 * int(np.clip(span * max(rates), 200, 2000)) + 1
-    exact = IntegratorChain(orders=list(chains.orders), error_bound=0.0)
-    law = dataclasses.replace(scenario.sliding_law(), model=exact)
-    tube = propagate(
-        law,
-        reference=np.zeros((half, n, m)),
-        bandwidth=np.full((half, m), alpha),
-        start=TubeStart.of_error(
-            scenario.initial_error_state(),
-            scenario.initial_boundary_layer(),
-            law.slope,
-            chains,
-        ),
-        velocity_bound="paper",
-        step=2 * span / (half - 1),
-    )
-    return tube.error_bound[-1, 0]
 
 
 def sensing_range_needed(scenario: Scenario, velocity: Array | None = None) -> float:
@@ -522,10 +381,8 @@ def sensing_range_needed(scenario: Scenario, velocity: Array | None = None) -> f
             all axes that obstacles look at, which no certified flight exceeds.
     """
     if velocity is None:
-        along = [
-            scenario.limits.speed_along(i) for i in range(scenario.model.num_outputs)
-        ]
-        velocity = np.array(along) * scenario.obstacle_set().outputs_seen()
+        along = scenario.limits.speeds(scenario.model.num_outputs)
+        velocity = along * scenario.obstacle_set().outputs_seen()
     n, interval = scenario.model.order, scenario.duration / scenario.planner.intervals
     looks = scenario.planning_delay() + scenario.sensing.period
     return range_needed(

@@ -23,6 +23,8 @@ from dtmpc_drake.obstacles import Obstacle, ObstacleSet
 
 DERIVATIVES = "position", "velocity", "acceleration"
 """Fields of a `Waypoint` and of `StateWeights`, in order."""
+ENDS = "start", "goal", "initial_error"
+"""Fields of a `Scenario` that are a `Waypoint`."""
 
 
 def _three(value: float) -> Any:
@@ -99,6 +101,10 @@ class Limits:
     def speed_along(self, axis: int) -> float:
         """The bound of the speed along an axis, in m/s."""
         return self.speed[axis] if isinstance(self.speed, list) else self.speed
+
+    def speeds(self, num_outputs: int) -> Array:
+        """The bounds along all axes, ``(m,)``, in m/s."""
+        return np.broadcast_to(np.asarray(self.speed, dtype=float), num_outputs)
 
     @property
     def others(self) -> tuple[Limit, ...]:

@@ -130,9 +130,7 @@ class TubeMonitor(LeafSystem):
         limits = scenario.limits
         self._other_limits = limits.others
         # So that one largest speed will do for all axes.
-        self._slower = limits.fastest - np.array(
-            [limits.speed_along(i) for i in range(m)]
-        )
+        self._slower = limits.fastest - limits.speeds(m)
         self._state = self.DeclareVectorInputPort("state", count * self._chains.size)
         self._plan = DeclarePlanInputPort(self)
         self._control = self.DeclareVectorInputPort("control", count * m)

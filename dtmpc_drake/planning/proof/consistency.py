@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from dtmpc_drake.method.margin import Margin, smallest
+from dtmpc_drake.method.margin import Margin, smallest, worst
 from dtmpc_drake.numerics.arrays import Array, BoolArray
 from dtmpc_drake.planning.problem import Problem
 from dtmpc_drake.records.plan import Plan
@@ -65,8 +65,8 @@ def consistency_margins(plan: Plan, problem: Problem) -> dict[str, Margin]:
         ),
     ]
     if jumps:
-        worst = min(jumps, key=lambda margin: margin.value)
-        margins["continuity"] = dataclasses.replace(worst, time=worst.time * unit)
+        jump = worst(jumps)
+        margins["continuity"] = dataclasses.replace(jump, time=jump.time * unit)
     time = np.array([plan.start_time, plan.end_time])
     wanted = np.array([problem.start_time, problem.start_time + problem.duration])
     allowed = TIME_TOLERANCE * (1 + np.abs(wanted).max())
